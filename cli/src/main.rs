@@ -29,9 +29,11 @@ mod send;
 mod skills;
 mod step;
 mod stopped;
+mod sweep;
 mod test_cases;
 mod vision;
 mod warnings;
+mod world;
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process::ExitCode;
@@ -62,6 +64,10 @@ struct Arguments {
 enum Command {
     /// Run a chart in the simulator and leave a report.
     Run(run::RunArgs),
+    /// Run a chart with many seeds and inputs: how many runs hold, and the spread of their figures.
+    Sweep(sweep::SweepArgs),
+    /// Draw the ranges of a world file.
+    World(world::WorldArgs),
     /// Offer charts and skills to other agents.
     Agent(agent::AgentArgs),
     /// Run the simulated cameras in a process of their own, for `run --cameras`; without images until a run connects.
@@ -109,6 +115,8 @@ fn main() -> ExitCode {
     let mut out = io::stdout();
     let status = match &arguments.command {
         Command::Run(args) => run::run(args, &mut io::stderr()),
+        Command::Sweep(args) => sweep::run(args, &mut out),
+        Command::World(args) => world::run(args, &mut out),
         Command::Agent(args) => agent::run(args, &mut out),
         Command::Cameras(args) => cameras::run(args, &mut out),
         Command::Check(args) => match lsp::known(&args.worlds) {

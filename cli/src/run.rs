@@ -149,7 +149,12 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     match armarium_host::run(&config, &console) {
         Ok(ended) if args.json => {
             let result = &ended.result;
-            let line = json!({"outcome": result.outcome, "reason": result.reason, "report": ended.folder});
+            let line = json!({
+                "outcome": result.outcome,
+                "reason": result.reason,
+                "figures": ended.figures,
+                "report": ended.folder,
+            });
             writeln!(io::stdout(), "{line}")?;
             Ok(u8::from(result.outcome != "success" || !ended.recorded || !ended.reported))
         }

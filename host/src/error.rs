@@ -71,6 +71,12 @@ pub enum HostError {
         /// The cause.
         source: std::io::Error,
     },
+    /// The folder holds runs of another chart or with other arguments.
+    #[error("`{path}` holds another sweep: give another --out, or remove it")]
+    OtherSweep {
+        /// The folder.
+        path: PathBuf,
+    },
     /// Another run writes to the folder.
     #[error("another run writes its report to `{path}`: wait for its end, or give another --report")]
     ReportInUse {

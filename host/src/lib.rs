@@ -4,7 +4,7 @@
 //! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
 //! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.
-//! - [`mod@bench`]: one skill under test, in a few lines.
+//! - [`mod@sweep`]: many runs of a chart, and how many hold. [`mod@bench`]: one skill under test, in a few lines.
 //! - [`Console`]: the output for people.
 //!
 //! The program `armarium` reads a command line and starts what is here; a program of your own does the same with its
@@ -33,6 +33,7 @@ pub mod run;
 mod run_log;
 mod side_tasks;
 pub mod simulated;
+pub mod sweep;
 mod world_file;
 
 pub use agent::run_agent;

@@ -275,6 +275,13 @@ pub enum Cell {
     Text(String),
     /// A name from a file or a program, shown as code.
     Code(String),
+    /// A link to another file.
+    Link {
+        /// What is shown.
+        text: String,
+        /// The file's path, relative to the page.
+        to: String,
+    },
     /// Numbers with a common unit and precision.
     Numbers {
         /// One number, or the components of a vector.

@@ -200,6 +200,7 @@ fn cell(cell: &Cell) -> String {
         Cell::Absent => "–".to_owned(),
         Cell::Text(text) => escape(text),
         Cell::Code(text) => format!("<code>{}</code>", escape(text)),
+        Cell::Link { text, to } => format!("<a href=\"{}\">{}</a>", escape(to), escape(text)),
         Cell::Numbers { values, unit, digits } => {
             let numbers: Vec<String> = values.iter().map(|value| number(*value, *digits)).collect();
             escape(&with_unit(numbers.join(", "), unit))
