@@ -188,3 +188,40 @@ fn channels_are_listed_with_who_publishes_and_who_reads_them() {
     );
     assert_eq!(status(&armarium(folder.path(), &["channels", "--charts", "nowhere"])), 2);
 }
+
+#[test]
+fn a_sweep_runs_each_seed_and_value_once_and_says_how_many_held() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let chart = "statechart: Wait\ninputs:\n  long: {type: duration, default: 1s}\ninitial: A\nstates:\n  \
+                 A: {after: {\"${inputs.long}\": B, 2s: Late}}\n  B: {final: success}\n  Late: {final: failure}\n";
+    std::fs::write(folder.path().join("wait.yaml"), chart).expect("it can be written");
+    let world = "world: w\nobjects: [{name: cup, at: [0.3, 0.5], mass: {from: 0.1 kg, to: 0.2 kg}}]\n";
+    std::fs::write(folder.path().join("wait.world.yaml"), world).expect("it can be written");
+    let args = ["sweep", "wait.yaml", "--seeds", "1..2", "--set", "long=1s,3s", "--jobs", "2"];
+    let output = armarium(folder.path(), &args);
+    assert_eq!(status(&output), 1, "{}", said(&output));
+    assert!(said(&output).contains("2 of 2 held: 100.0 % (34.2 to 100.0 %)  long=1s"), "{}", said(&output));
+    assert!(said(&output).contains("0 of 2 held: 0.0 % (0.0 to 65.8 %)  long=3s"), "{}", said(&output));
+    let page = std::fs::read_to_string(folder.path().join("sweep/sweep.html")).expect("the page is there");
+    assert!(page.contains("href=\"long-3s-seed-1/report.html\""));
+    // It goes on where it was ended: what has run does not run again, a further seed does.
+    let more = ["sweep", "wait.yaml", "--seeds", "1..3", "--set", "long=1s", "--json"];
+    let output = armarium(folder.path(), &more);
+    let lines: Vec<Value> =
+        said(&output).lines().map(|line| serde_json::from_str(line).expect("it is JSON")).collect();
+    assert_eq!(
+        (status(&output), lines.len(), &lines[0]["seed"], &lines[1]["rate"]["held"]),
+        (0, 2, &3.into(), &3.into())
+    );
+    let other = armarium(folder.path(), &["sweep", "wait.yaml", "--seeds", "1", "--for", "1min"]);
+    assert_eq!(status(&other), 2);
+    assert!(said(&other).contains("holds another sweep"), "{}", said(&other));
+
+    let drawn = armarium(folder.path(), &["world", "random", "wait.world.yaml", "--seed", "3"]);
+    assert_eq!(status(&drawn), 0);
+    let mass = said(&drawn)
+        .split_once("mass: ")
+        .and_then(|(_, rest)| rest.split_once(" kg"))
+        .map(|(mass, _)| mass.parse());
+    assert!(matches!(mass, Some(Ok(mass)) if (0.1..=0.2_f64).contains(&mass)), "{}", said(&drawn));
+}
