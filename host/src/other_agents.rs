@@ -14,6 +14,7 @@ use armarium_memoryx::{
     FollowedAgent, FollowingAgent, LongTermMemory, Memory, MemoryServer, RemoteMemory, ServerOptions,
     WorkingMemory, agent_pose_update,
 };
+use armarium_robot::description;
 use armarium_runtime::exec::Controller;
 use armarium_simulator::world::AgentSpec;
 use armarium_simulator::{Handle, World};
@@ -29,7 +30,7 @@ use crate::connection::is_there;
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
 use crate::memory_log::{self, LoggedChange, MemoryLog};
-use crate::recording::SharedRecorder;
+use crate::recording::{SharedRecorder, world_text};
 
 /// How long to wait until an agent's memory answers.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(60);
@@ -42,7 +43,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 pub(crate) struct Sharing {
     pub(crate) session: Session,
     pub(crate) world: World,
-    /// The world file, from which the other agents read the same world.
+    /// The world file, beside which the other agents' charts are.
     pub(crate) world_file: PathBuf,
     pub(crate) memory: Arc<WorkingMemory>,
     pub(crate) store: Arc<LongTermMemory>,
@@ -53,6 +54,24 @@ pub(crate) struct Sharing {
     /// The program `armarium`, which starts absent agents.
     pub(crate) program: Option<PathBuf>,
     pub(crate) clock: Handle,
+}
+
+impl Sharing {
+    /// Writes the world as it is in this run, from which the other agents read the same one.
+    fn write_world(&self) -> Result<PathBuf, HostError> {
+        let mut world = self.world.clone();
+        if description::is_file(&world.robot.model)
+            && let Ok(absolute) = std::path::absolute(&world.robot.model)
+        {
+            world.robot.model = absolute.to_string_lossy().into_owned();
+        }
+        let path = self.folder.join("world.json");
+        let failed = |error| {
+            HostError::OtherAgent(format!("the world cannot be written to {}: {error}", path.display()))
+        };
+        std::fs::write(&path, world_text(&world)).map_err(failed)?;
+        Ok(path)
+    }
 }
 
 /// What remains after they have ended: the log of the memories, and some of the other agents' images.
@@ -198,7 +217,8 @@ impl Process {
         let endpoints = sharing.session.endpoints().await;
         let listens_nowhere = || HostError::OtherAgent("this process listens nowhere: give --listen".into());
         let endpoint = endpoints.first().ok_or_else(listens_nowhere)?;
-        let world = sharing.world_file.display();
+        let world_file = sharing.write_world()?;
+        let world = world_file.display();
         let (Some(chart), Some(program)) = (&agent.runs, &sharing.program) else {
             return Err(HostError::OtherAgent(format!(
                 "the agent `{name}` is not there; start it with: armarium agent --name {name} --world {world} \
@@ -216,7 +236,7 @@ impl Process {
             .args(["agent", "--name", name, "--eyes", &format!("{robot}/{name}")])
             .args(["--follow", robot, "--connect", endpoint, "--while-input", "--verbose"])
             .arg("--world")
-            .arg(&sharing.world_file)
+            .arg(&world_file)
             .arg("--run")
             .arg(&chart)
             .arg("--store")

@@ -142,9 +142,14 @@ pub(crate) fn attach_sources(
     if let Ok(text) = std::fs::read(chart) {
         recorder.attach("chart.yaml", "application/yaml", &text)?;
     }
+    recorder.attach("world.json", "application/json", world_text(world).as_bytes())
+}
+
+/// A world as the text of a world file.
+pub(crate) fn world_text(world: &World) -> String {
     let mut world = serde_json::to_value(world).unwrap_or_default();
     omit_nulls(&mut world);
-    recorder.attach("world.json", "application/json", format!("{world:#}").as_bytes())
+    format!("{world:#}")
 }
 
 /// Removes nulls: world files omit absent things, except a coach who never demonstrates.
@@ -203,9 +208,7 @@ mod tests {
         let mut silent = World::default();
         silent.coach.demonstration = None;
         for world in [World::default(), silent] {
-            let mut written = serde_json::to_value(&world).unwrap();
-            omit_nulls(&mut written);
-            assert_eq!(World::parse(Path::new("world.json"), &written.to_string()), Ok(world));
+            assert_eq!(World::parse(Path::new("world.json"), &world_text(&world)), Ok(world));
         }
     }
 }

@@ -207,7 +207,13 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
         world.world.robot.arm = None;
         world.world.robot.load().map_err(HostError::Findings)?;
     }
-    let mut world = world.for_arm(&config.arm())?;
+    let arm = config.arm();
+    let mut world = world.for_arm(&arm, config.world.is_some())?;
+    if let Some(works) = world.other_than(&arm)? {
+        console.note(&format!(
+            "warning: the chart works with `{arm}`, the world with `{works}`: coach and figures are about the latter"
+        ));
+    }
     let name = world.called(config.name.as_deref());
     let network = match config.session(&world.world, name.is_some()) {
         Some(session) => Network::open(&session, name.as_deref(), &**console)?,
@@ -231,9 +237,8 @@ async fn perform(
     let folder = ReportFolder::take(&config.report, config.keep_reports)?;
     let config = &RunConfig { report: folder.path.clone(), ..config.clone() };
     match &world.file {
-        Some(file) => console.note(&format!("the world is {}", file.display())),
-        None if world.world.name == World::default().name => console.note("the world is the default kitchen"),
-        None => console.note("the world is the default kitchen, mirrored for the other arm"),
+        Some(file) => console.note(&format!("the world is {}{}", file.display(), world.world.mirror_note())),
+        None => console.note(&format!("the world is the default kitchen{}", world.world.mirror_note())),
     }
     let handle = stage.robot.handle.clone();
     console.world_begins(Arc::new(move || handle.now_ns()));

@@ -27,24 +27,33 @@ impl WorldFile {
         Ok(Self { world, file })
     }
 
-    /// The world in which an arm works. The default kitchen is laid out for the robot's first arm, and is mirrored for one on
-    /// the other side; a file stays as it is, and its own arm goes before.
+    /// The world in which an arm works. A world that names no arm is laid out for the robot's first, and is mirrored for one
+    /// on the other side. A file that was `given` stays as it is.
     ///
     /// # Errors
     /// [`SimulationError::Robot`] when its robot cannot be read.
-    pub fn for_arm(self, arm: &str) -> Result<Self, SimulationError> {
+    pub fn for_arm(self, arm: &str, given: bool) -> Result<Self, SimulationError> {
         let Self { mut world, file } = self;
-        if arm.is_empty() {
-            return Ok(Self { world, file });
-        }
-        if file.is_none() {
+        if world.robot.arm.is_none() && !arm.is_empty() {
             let model = world.model()?;
-            world = world.for_arm(&model, arm);
-        } else if world.robot.arm.is_none() {
-            let model = world.model()?;
-            world.robot.arm = model.arms().find(|limb| limb.name == arm).map(|limb| limb.name.clone());
+            if given {
+                world.robot.arm = model.arms().find(|limb| limb.name == arm).map(|limb| limb.name.clone());
+            } else {
+                world = world.for_arm(&model, arm);
+            }
         }
         Ok(Self { world, file })
+    }
+
+    /// The arm that the world names, if the chart works with another.
+    ///
+    /// # Errors
+    /// [`SimulationError::Robot`] when its robot cannot be read.
+    pub fn other_than(&self, arm: &str) -> Result<Option<String>, SimulationError> {
+        let model = self.world.model()?;
+        let works = self.world.robot.arm(&model).map(|limb| limb.name.clone());
+        let is_there = model.arms().any(|limb| limb.name == arm);
+        Ok(works.filter(|works| is_there && works != arm))
     }
 
     /// The name by which other agents address the run: the requested one, else the robot's if the world has other
@@ -80,11 +89,11 @@ mod tests {
     }
 
     #[test]
-    fn the_kitchen_is_mirrored_for_an_arm_of_the_other_side_and_a_file_is_not() {
+    fn a_world_is_mirrored_for_an_arm_of_the_other_side_and_one_that_was_given_is_not() {
         let kitchen = || WorldFile { world: World::default(), file: None };
         let model = kitchen().world.model().unwrap();
         let arm = |side: f64| model.arms().find(|arm| model.side_of(arm) == side).unwrap().name.clone();
-        let of = |scene: WorldFile, arm: &str| scene.for_arm(arm).unwrap().world;
+        let of = |scene: WorldFile, arm: &str| scene.for_arm(arm, false).unwrap().world;
         let (first, other) = (arm(1.0), arm(-1.0));
         let table = |world: &World| world.table.center[0];
         assert_eq!(of(kitchen(), ""), World::default());
@@ -97,13 +106,16 @@ mod tests {
             (Some(&*other), "kitchen_mirrored")
         );
         let file = || WorldFile { file: Some(PathBuf::from("w.yaml")), ..kitchen() };
-        let laid_out = of(file(), &other);
+        assert_eq!(table(&of(file(), &other)), -table(&World::default()), "one beside the chart");
+        let laid_out = file().for_arm(&other, true).unwrap().world;
         assert_eq!(
             (laid_out.robot.arm.as_deref(), table(&laid_out)),
             (Some(&*other), table(&World::default()))
         );
         let mut own = file();
         own.world.robot.arm = Some(first.clone());
+        assert_eq!(own.other_than(&other).unwrap(), Some(first.clone()));
+        assert_eq!(own.other_than("nose").unwrap(), None);
         assert_eq!(of(own, &other).robot.arm, Some(first));
     }
 

@@ -11,6 +11,8 @@ use crate::world::{Faults, NoiseSpec, WrenchFault};
 
 /// Torque noise over force noise, m.
 const TORQUE_SHARE: f64 = 0.05;
+/// Noise of a force axis where a world wants none, N: a sensor that repeats itself bit by bit counts as broken.
+const LEAST_NOISE: f64 = 1e-6;
 /// Noise of a joint's velocity over that of its angle, 1/s.
 const VELOCITY_SHARE: f64 = 1.0;
 /// Noise of a sliding joint's position over that of a turning joint's, m/rad.
@@ -97,6 +99,7 @@ impl WrenchSensor {
     }
 
     fn sense(&mut self, t: f64, truth: &Wrench, sigma: f64) -> Wrench {
+        let sigma = sigma.max(LEAST_NOISE);
         let offset: [f64; 6] = std::array::from_fn(|axis| {
             self.bias[axis]
                 + self.drift[axis] * t

@@ -20,6 +20,11 @@ impl World {
         if now.is_some_and(|now| now != then) { self.mirrored() } else { self }
     }
 
+    /// For people: that it is mirrored, if it is.
+    pub fn mirror_note(&self) -> &'static str {
+        if self.name.ends_with(MIRRORED) { ", mirrored for the other arm" } else { "" }
+    }
+
     /// Everything mirrored but the robot itself.
     fn mirrored(mut self) -> Self {
         let flip = |x: &mut f64| *x = if *x == 0.0 { 0.0 } else { -*x };
