@@ -20,9 +20,21 @@ fn chart(name: &str) -> PathBuf {
 
 #[test]
 fn bob_grasps_by_what_alice_sees_and_alice_learns_that_he_holds_it() {
+    grasps_with("right");
+}
+
+/// In the mirrored world, Alice stands and sees as mirrored as everything else.
+#[test]
+fn the_left_hand_does_what_the_right_one_does() {
+    grasps_with("left");
+}
+
+fn grasps_with(side: &str) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let chart = chart("share_scene.yaml").display().to_string();
-    let output = armarium(folder.path(), &["run", &chart, "--report", "report", "--store", "bob.redb"]);
+    let arm = format!("arm={side}_arm");
+    let files = ["--report", "report", "--store", "bob.redb"];
+    let output = armarium(folder.path(), &[&["run", &chart, "--set", &arm][..], &files].concat());
     let log = std::fs::read_to_string(folder.path().join("report/alice.log")).unwrap_or_default();
     assert_eq!(output.status.code(), Some(0), "{}\nalice: {log}", said(&output));
     let text = std::fs::read_to_string(folder.path().join("report/report.json")).expect("a report");
@@ -39,13 +51,14 @@ fn bob_grasps_by_what_alice_sees_and_alice_learns_that_he_holds_it() {
     assert_eq!(seen["origin"], "alice");
     assert!(seen["error_m"].as_f64().is_some_and(|e| e < 0.02), "{seen}");
     assert_eq!(knows("bob", "ObjectInstances/bob/sponge", "seen"), None, "his view is covered");
-    let hand = "bob/right_hand";
+    let hand = format!("bob/{side}_hand");
     let held = knows("alice", "ObjectInstances/bob.bob/sponge", &format!("in {hand}"));
     let held = held.expect("Bob told Alice");
     assert_eq!(held["origin"], "bob");
     assert!(held["error_m"].as_f64().is_some_and(|e| e < 0.02), "{held}");
     let relation = format!("sponge in {hand}");
-    assert!(knows("alice", "ObjectRelations/bob.bob/sponge-in-right_hand", &relation).is_some());
+    let about = format!("ObjectRelations/bob.bob/sponge-in-{side}_hand");
+    assert!(knows("alice", &about, &relation).is_some());
 }
 
 /// A chart that waits, and a world with an agent who runs `watch`.
