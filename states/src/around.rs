@@ -150,7 +150,8 @@ impl Around {
         let posture: Vec<f64> = self.joints.iter().map(|&j| self.model.ready(&self.arm)[j]).collect();
         let mut ik = DifferentialIk::new(&self.model, self.tcp, &self.joints, IkConfig::default());
         let mut q = now.to_vec();
-        let mut line = StraightLine::new(self.model.link_pose(&q, self.tcp), *target, speed).map_err(failed)?;
+        let mut line =
+            StraightLine::new(self.model.link_pose(&q, self.tcp), *target, speed).map_err(failed)?;
         let (mut path, mut rested) = (vec![q.clone()], 0);
         while path.len() < STEPS && rested < SETTLING {
             let point = line.step(STEP_S).map_err(failed)?;
@@ -232,9 +233,8 @@ pub(crate) async fn follow(
 /// left out, and so are things whose class nobody knows.
 async fn known(memory: &dyn Memory) -> Result<Vec<Known>, Failure> {
     let mut all = Vec::new();
-    let segment = async |name: &str| {
-        memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed)
-    };
+    let segment =
+        async |name: &str| memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed);
     for place in segment("EnvironmentModels").await? {
         let size = place.attribute("size").and_then(armarium_values::Value::as_vector3);
         let Some(size) = size else { continue };

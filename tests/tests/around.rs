@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use armarium_host::bench::{Bench, Benched};
 use armarium_memoryx::{Commit, EntityId};
-use armarium_robot::planning::{KnownBox, PlanError, Planner};
 use armarium_robot::Model;
+use armarium_robot::planning::{KnownBox, PlanError, Planner};
 use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_states::Equipment;
 use armarium_values::{Pose, Value};

@@ -117,6 +117,8 @@ form! {
         pub baseline: f64 = 0.093, Rule::number("m", 0.02, 0.5);
         /// Standard deviation of each pixel's channels, grey levels of 255.
         pub noise: f64 = 2.0, Rule::number("", 0.0, 64.0);
+        /// From the exposure of a frame to its arrival; its stamp is that of the exposure.
+        pub latency: f64 = 0.0, Rule::number("s", 0.0, 1.0);
         /// How far the true camera is from where the robot believes it to be, in the camera's frame.
         pub mounting_error: MountingError = MountingError::default();
     }
