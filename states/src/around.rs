@@ -83,7 +83,7 @@ impl Around {
     ///
     /// # Errors
     /// When the goal is not free, or no way to it is found.
-    pub(crate) async fn to_joints(self, now: Vec<f64>, goal: Vec<f64>) -> Result<Path, Failure> {
+    pub(crate) async fn way_to_joints(self, now: Vec<f64>, goal: Vec<f64>) -> Result<Path, Failure> {
         planned(move || self.plan(&mut self.planner(), &now, &goal)).await
     }
 
@@ -91,7 +91,7 @@ impl Around {
     ///
     /// # Errors
     /// When the line is blocked and the pose is out of reach, is not free, or no way to it is found.
-    pub(crate) async fn to_pose(
+    pub(crate) async fn way_to_pose(
         self,
         now: Vec<f64>,
         target: Isometry3<f64>,

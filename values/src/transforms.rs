@@ -324,9 +324,9 @@ mod tests {
     /// A platform that drives along x at 0.5 m/s, a head on it that turns at 1 rad/s, and a camera fixed on the head.
     fn moving() -> Transforms {
         let mut transforms = Transforms::new();
-        for ms in (0..=2000).step_by(20) {
+        for ms in (0..=2000_u32).step_by(20) {
             let t = f64::from(ms) * 1e-3;
-            let stamp = u64::from(ms.unsigned_abs()) * 1_000_000;
+            let stamp = u64::from(ms) * 1_000_000;
             transforms.insert(&frame("root"), stamp, &pose("world", 0.5 * t, 0.0)).unwrap();
             transforms.insert(&frame("head"), stamp, &pose("root", 0.1, t)).unwrap();
         }
@@ -337,7 +337,7 @@ mod tests {
     #[test]
     fn a_pair_of_frames_is_joined_at_any_time() {
         let transforms = moving();
-        for t in [0.0, 0.013, 0.5, 1.2345, 2.0] {
+        for t in [0.0_f64, 0.013, 0.5, 1.2345, 2.0] {
             let stamp = (t * 1e9) as u64;
             let world_from_camera = transforms.transform(&frame("world"), &frame("camera"), stamp).unwrap();
             let expected = Point3::new(0.5 * t + 0.1 + 0.2 * t.cos(), 0.2 * t.sin(), 0.0);

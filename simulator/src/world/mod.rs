@@ -18,6 +18,7 @@ use armarium_robot::description::{self, default_robot, shipped_robots};
 use armarium_robot::{Limb, Model};
 use armarium_source::yaml::Node;
 use armarium_source::{Finding, Findings, Rule, Source, choice, code, form};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::error::SimulationError;
@@ -330,6 +331,13 @@ impl World {
     pub fn model(&self) -> Result<Arc<Model>, SimulationError> {
         let robot = || self.robot.model.clone();
         self.robot.load().map_err(|findings| SimulationError::Robot { robot: robot(), findings })
+    }
+
+    /// The middle of a nominally grasped object in the frame of the TCP of the arm that works, m; 0 where it has no hand.
+    pub fn grasp_in_tcp(&self) -> Vector3<f64> {
+        let grasp =
+            |model: &Model| Some(model.hand_of(self.robot.arm(model)?)?.grasp_in_tcp.translation.vector);
+        self.model().ok().and_then(|model| grasp(&model)).unwrap_or_default()
     }
 
     /// Reads a world file; what it does not say is as in the default world. Values of ranges are drawn by `seed`
