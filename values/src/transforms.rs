@@ -183,11 +183,15 @@ impl Transforms {
         source: &Frame,
         stamp_ns: u64,
     ) -> Result<Isometry3<f64>, TransformError> {
-        let (from_target, from_source) = (self.chain(target, stamp_ns)?, self.chain(source, stamp_ns)?);
+        let ((from_target, lost), (from_source, also)) =
+            (self.chain(target, stamp_ns), self.chain(source, stamp_ns));
         for (frame, common_from_target) in &from_target {
             if let Some((_, common_from_source)) = from_source.iter().find(|(other, _)| other == frame) {
                 return Ok(common_from_target.inverse() * common_from_source);
             }
+        }
+        if let Some(lost) = lost.or(also) {
+            return Err(lost);
         }
         let root =
             |chain: &[(Frame, Isometry3<f64>)]| chain.last().map_or(String::new(), |(f, _)| f.0.clone());
@@ -207,21 +211,25 @@ impl Transforms {
         })
     }
 
-    /// A frame and all those that it hangs on, each with the pose of the frame in it.
-    fn chain(&self, frame: &Frame, stamp_ns: u64) -> Result<Vec<(Frame, Isometry3<f64>)>, TransformError> {
+    /// A frame and those that it hangs on, each with the pose of the frame in it, as far as that is known at the time, and why it
+    /// is not known further up.
+    fn chain(&self, frame: &Frame, stamp_ns: u64) -> (Vec<(Frame, Isometry3<f64>)>, Option<TransformError>) {
         let mut chain = vec![(frame.clone(), Isometry3::identity())];
         while let Some((last, last_from_frame)) = chain.last()
             && chain.len() <= MAX_FRAMES
             && let Some(parent) = self.parent(last, stamp_ns)
         {
-            let (parent, parent_from_last) = parent?;
+            let (parent, parent_from_last) = match parent {
+                Ok(parent) => parent,
+                Err(lost) => return (chain, Some(lost)),
+            };
             if chain.iter().any(|(known, _)| *known == parent) {
                 break;
             }
             let parent_from_frame = parent_from_last * last_from_frame;
             chain.push((parent, parent_from_frame));
         }
-        Ok(chain)
+        (chain, None)
     }
 
     fn parent(
@@ -370,6 +378,7 @@ mod tests {
             "{error}"
         );
         transforms.fix(&frame("shelf"), &pose("room", 0.0, 0.0)).unwrap();
+        transforms.insert(&frame("root"), 11 * SECOND, &pose("world", 0.0, 0.0)).unwrap();
         let error = ask(&transforms, "shelf", 11 * SECOND);
         assert!(error.to_string().contains("they hang on `room` and"), "{error}");
     }

@@ -264,6 +264,7 @@ impl Eyes {
         let (drawn, truth) = self.paint(view);
         let frame = self.sensed(view.stamp_ns, drawn);
         self.rig.on_their_way.push_back(frame);
+        self.rig.deliver(view.stamp_ns);
         truth
     }
 
