@@ -89,8 +89,8 @@ impl FrameSource for JointHistory {
 
 #[cfg(test)]
 mod tests {
-    use armarium_values::transforms::Transforms;
     use super::*;
+    use armarium_values::transforms::Transforms;
 
     #[test]
     fn links_are_where_the_joints_were_between_two_samples() {

@@ -17,21 +17,24 @@ const SPEED: f64 = 1.0;
 const REST_TIME: f64 = 0.3;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("LookAt", "Turns the head until the eyes look at a point; cameras that nothing turns have to have it in view.")
-        .optional(
-            "point",
-            Type::list(Type::FLOAT),
-            Vec::<f64>::new(),
-            "Where to look: x, y, z in the root frame, m; empty: where the arm works.",
-        )
-        .optional(
-            "offset",
-            Type::list(Type::FLOAT),
-            vec![0.0, 0.0, 0.0],
-            "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
-        )
-        .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
-        .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
+    let manifest = SkillManifest::new(
+        "LookAt",
+        "Turns the head until the eyes look at a point; cameras that nothing turns have to have it in view.",
+    )
+    .optional(
+        "point",
+        Type::list(Type::FLOAT),
+        Vec::<f64>::new(),
+        "Where to look: x, y, z in the root frame, m; empty: where the arm works.",
+    )
+    .optional(
+        "offset",
+        Type::list(Type::FLOAT),
+        vec![0.0, 0.0, 0.0],
+        "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
+    )
+    .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
+    .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
     equipment::skill(equipment, moves_the_head(names_the_arm(manifest), equipment), run)
 }
 

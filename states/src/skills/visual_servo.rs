@@ -86,8 +86,8 @@ async fn servo(
                 as f64
                 * 1e-9;
             last_frame_ns = Some(frame.stamp_ns);
-            let [tcp, marker] = [tcp_of(arm.limb())?, marker_link]
-                .map(|link| equipment.link_at(link, frame.stamp_ns));
+            let [tcp, marker] =
+                [tcp_of(arm.limb())?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
             let (tcp, marker) = (tcp?, marker?);
             let observation = sight.observe(&frame, &tcp, &marker, above);
             let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;
