@@ -32,7 +32,7 @@ fn main() {
 fn robot() -> Vec<Shape> {
     let model = Arc::new(Model::shipped("armar3").expect("it ships"));
     let mut kinematics = Kinematics::new(&model);
-    kinematics.update(&model.start());
+    kinematics.update(model.start());
     robot_shapes(&kinematics, &Isometry3::identity())
 }
 
