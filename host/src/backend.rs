@@ -58,6 +58,7 @@ impl Backend {
             memory: Arc::<WorkingMemory>::clone(memory) as Arc<dyn Memory>,
             agent: config.name.clone(),
             seed: config.seed,
+            transforms: Arc::default(),
             motions: RunningMotions::default(),
             works: None,
         };

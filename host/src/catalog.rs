@@ -58,6 +58,7 @@ fn registry_in(world: &World) -> Result<Registry, HostError> {
         memory: Arc::new(WorkingMemory::new(tokio_clock())) as Arc<dyn Memory>,
         agent: "local".into(),
         seed: 0,
+        transforms: Arc::default(),
         motions: RunningMotions::default(),
         works: None,
     };

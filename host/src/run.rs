@@ -314,7 +314,10 @@ impl Stage {
         let memory = memory_of_run(world, &config.store)?;
         let (mut robot, simulation) =
             SimulatedRobot::new(world, config.seed, memory.memory(), sinks, scenery)?;
-        let cameras = cameras.unwrap_or_else(|| Arc::clone(&robot.equipment.images));
+        if let Some(cameras) = cameras {
+            robot.see_through(cameras);
+        }
+        let cameras = Arc::clone(&robot.equipment.images);
         let frames = Arc::new(FrameSampler::of(cameras, world, recorder.clone()));
         robot.equipment.images = Arc::clone(&frames) as Arc<dyn ImageSource>;
         Ok((Self { memory, robot, frames, recorder, digest }, simulation))

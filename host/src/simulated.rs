@@ -7,9 +7,14 @@ use armarium_memoryx::{
     AgentMemory, Limits, MemoryConfig, MemoryError, ObjectClass, Policies, Policy, PriorKnowledge, Restored,
     WorkingMemory,
 };
+use armarium_robot::{JointHistory, Robot};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, Options, Referee, Simulation, TruthSink, World};
 use armarium_states::{Equipment, RunningMotions};
+use armarium_values::Frame;
+use armarium_values::transforms::Transforms;
+use armarium_visionx::{ImageSource, JoinedImages};
+use parking_lot::RwLock;
 
 use crate::error::HostError;
 
@@ -47,9 +52,16 @@ impl SimulatedRobot {
     ) -> Result<(Self, Simulation), HostError> {
         let options = Options { truth_sinks, scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
+        let robot = simulation.robot();
+        // The task ends with the robot.
+        let (history, _) = JointHistory::of(&*robot);
+        let mut transforms = Transforms::new();
+        transforms.attach(history);
+        let transforms = Arc::new(RwLock::new(transforms));
         let equipment = Equipment {
-            robot: simulation.robot(),
-            images: simulation.images(),
+            images: joined(&*robot, simulation.images(), &transforms),
+            robot,
+            transforms,
             memory: Arc::<WorkingMemory>::clone(memory),
             agent: world.robot.name.clone(),
             seed,
@@ -58,6 +70,21 @@ impl SimulatedRobot {
         };
         Ok((Self { referee: simulation.referee(), handle: simulation.handle(), equipment }, simulation))
     }
+
+    /// Sees through other cameras at the same place.
+    pub(crate) fn see_through(&mut self, images: Arc<dyn ImageSource>) {
+        let Equipment { robot, transforms, .. } = &self.equipment;
+        self.equipment.images = joined(&**robot, images, transforms);
+    }
+}
+
+/// Images with the pose that the robot's camera had when they were taken.
+fn joined(
+    robot: &dyn Robot,
+    images: Arc<dyn ImageSource>,
+    transforms: &Arc<RwLock<Transforms>>,
+) -> Arc<dyn ImageSource> {
+    Arc::new(JoinedImages::new(images, transforms, Frame(robot.model().camera_frame().to_owned())))
 }
 
 /// The memory of a run: prior knowledge of the world's objects, and the motions in the store, which other runs may use at the

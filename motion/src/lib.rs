@@ -19,6 +19,7 @@ mod constants;
 mod dmp;
 
 mod coach;
+mod contact_frame;
 mod coupling;
 mod discrete;
 mod discrete_periodic;
@@ -44,6 +45,7 @@ mod synchronisation;
 mod touchdown;
 
 pub use coach::{Coach, CoachConfig, CoachInput, CoachReport, HandField};
+pub use contact_frame::ContactFrame;
 pub use coupling::{ObstacleAvoidance, joint_coupling};
 pub use discrete::{DiscreteDmp, DiscreteDmpConfig, DiscreteState};
 pub use discrete_periodic::{

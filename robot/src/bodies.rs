@@ -16,8 +16,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::{Geometry, Joint, Kinematics, LinkId, Mesh, Model};
 
+/// Distance that two bodies keep, m.
+pub(crate) const KEPT: f64 = 0.02;
 /// Bodies that are farther apart than this, m, are not looked at more closely.
-const FAR: f64 = 0.3;
+pub(crate) const FAR: f64 = 0.3;
 /// Bodies with at most this many joints between them are kept apart by the limits of those joints: an upper arm and the trunk
 /// that carries its shoulder, a hand and the forearm that carries its wrist.
 const NEAR_IN_CHAIN: usize = 3;
@@ -33,12 +35,30 @@ const FINE: f64 = 0.0005;
 /// Links that move as one.
 #[derive(Clone, Debug)]
 struct Body {
-    /// The link whose frame its shapes are in.
+    /// The link whose frame its parts are in.
     link: LinkId,
-    shapes: Vec<(Isometry3<f64>, SharedShape)>,
+    parts: Vec<Part>,
     /// A ball around all shapes: centre in the link's frame, radius in m.
     center: Point3<f64>,
     radius: f64,
+}
+
+/// A shape of a body.
+#[derive(Clone, Debug)]
+struct Part {
+    /// The link that it is of.
+    link: LinkId,
+    /// Its pose in the frame of the body's link.
+    body_from_shape: Isometry3<f64>,
+    shape: SharedShape,
+}
+
+/// Two bodies that have to stay apart.
+#[derive(Clone, Debug)]
+struct Pair {
+    bodies: [usize; 2],
+    /// The parts of both that have to, as indices into theirs.
+    parts: Vec<[usize; 2]>,
 }
 
 /// Two bodies that are near each other.
@@ -58,12 +78,24 @@ pub(crate) struct Near {
 #[derive(Debug)]
 pub(crate) struct Bodies {
     bodies: Vec<Body>,
-    pairs: Vec<(usize, usize)>,
+    pairs: Vec<Pair>,
+}
+
+/// A box that is known to be there, standing still, for instance a table's top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KnownBox {
+    /// What people call it.
+    pub name: String,
+    /// Pose of its middle in the root frame.
+    pub root_from_box: Isometry3<f64>,
+    /// Edge lengths along its x, y, z, m.
+    pub size: Vector3<f64>,
 }
 
 impl Bodies {
-    /// The bodies of a robot. Left out are pairs with at most three joints between them, the links of one hand or head, and pairs
-    /// that are nearer than 30 mm at the start or in 95 % of random configurations: they touch by construction.
+    /// The bodies of a robot. Left out are pairs that its SRDF says may touch, pairs with at most three joints between them, the
+    /// links of one hand or head, and pairs that are nearer than 30 mm at the start or in 95 % of random configurations: they
+    /// touch by construction.
     pub(crate) fn new(model: &Arc<Model>) -> Self {
         let mut kinematics = Kinematics::new(model);
         let bodies = bodies(&kinematics);
@@ -76,19 +108,22 @@ impl Bodies {
             joints.len() > NEAR_IN_CHAIN && !tools.iter().any(|tool| joints.is_subset(tool))
         };
         let all = (0..bodies.len()).flat_map(|a| (a + 1..bodies.len()).map(move |b| (a, b)));
-        let mut pairs: Vec<(usize, usize)> = all.filter(|&(a, b)| apart(a, b)).collect();
-        let near = |kinematics: &Kinematics, (a, b): (usize, usize)| {
-            nearest(kinematics, &bodies[a], &bodies[b]).is_ok_and(|near| near.distance < NEIGHBOURS)
+        let mut pairs: Vec<Pair> = (all.filter(|&(a, b)| apart(a, b)))
+            .map(|(a, b)| Pair::new([a, b], &bodies, model))
+            .filter(|pair| !pair.parts.is_empty())
+            .collect();
+        let near = |kinematics: &Kinematics, pair: &Pair| {
+            pair.nearest(kinematics, &bodies).is_ok_and(|near| near.distance < NEIGHBOURS)
         };
         kinematics.update(model.start());
-        pairs.retain(|pair| !near(&kinematics, *pair));
+        pairs.retain(|pair| !near(&kinematics, pair));
         let mut counts = vec![0_u32; pairs.len()];
         let mut rng = ChaCha8Rng::seed_from_u64(0);
         for _ in 0..SAMPLES {
             let q: Vec<f64> = model.joints().iter().map(|joint| anywhere(joint, &mut rng)).collect();
             kinematics.update(&q);
             for (count, pair) in counts.iter_mut().zip(&pairs) {
-                *count += u32::from(near(&kinematics, *pair));
+                *count += u32::from(near(&kinematics, pair));
             }
         }
         let mut counts = counts.into_iter();
@@ -96,18 +131,54 @@ impl Bodies {
         Self { bodies, pairs }
     }
 
+    /// With boxes, from which every body that moves has to stay apart.
+    pub(crate) fn with_boxes<'a>(&self, model: &Model, boxes: impl Iterator<Item = &'a KnownBox>) -> Self {
+        let (mut all, mut pairs) = (self.bodies.clone(), self.pairs.clone());
+        let root = LinkId(0);
+        let root_from_body = model.link_pose(&[], root);
+        for known in boxes {
+            let shape = SharedShape::new(Cuboid::new(vector(&(known.size / 2.0))));
+            let body_from_shape = root_from_body.inverse() * known.root_from_box;
+            let mut body = Body::new(root, Part { link: root, body_from_shape, shape });
+            body.enclose();
+            let index = all.len();
+            let moving =
+                (0..self.bodies.len()).filter(|&a| model.motions(self.bodies[a].link).next().is_some());
+            pairs.extend(moving.map(|a| {
+                let parts = (0..self.bodies[a].parts.len()).map(|part| [part, 0]).collect();
+                Pair { bodies: [a, index], parts }
+            }));
+            all.push(body);
+        }
+        Self { bodies: all, pairs }
+    }
+
     /// The links of the pairs that have to stay apart.
     pub(crate) fn pairs(&self) -> impl Iterator<Item = [LinkId; 2]> {
-        self.pairs.iter().map(|&(a, b)| [self.bodies[a].link, self.bodies[b].link])
+        self.pairs.iter().map(|pair| pair.bodies.map(|body| self.bodies[body].link))
+    }
+
+    /// The bodies of a pair, as indices: those of the robot come first, then boxes in the order in which they came.
+    pub(crate) fn pair(&self, pair: usize) -> [usize; 2] {
+        self.pairs[pair].bodies
+    }
+
+    /// The link that carries a body.
+    pub(crate) fn carrier(&self, body: usize) -> LinkId {
+        self.bodies[body].link
+    }
+
+    /// For each link, the radius of a ball around its origin that holds the body that it carries, m.
+    pub(crate) fn radii(&self) -> impl Iterator<Item = (LinkId, f64)> {
+        self.bodies.iter().map(|body| (body.link, body.center.coords.norm() + body.radius))
     }
 }
 
 /// The least distance of all pairs at one configuration, m, computed anew: for referees.
 #[cfg(test)]
 pub(crate) fn least_distance(bodies: &Bodies, kinematics: &Kinematics) -> f64 {
-    let exact = |&(a, b): &(usize, usize)| {
-        nearest(kinematics, &bodies.bodies[a], &bodies.bodies[b]).map_or_else(|far| far, |near| near.distance)
-    };
+    let exact =
+        |pair: &Pair| pair.nearest(kinematics, &bodies.bodies).map_or_else(|far| far, |near| near.distance);
     bodies.pairs.iter().map(exact).fold(f64::INFINITY, f64::min)
 }
 
@@ -131,13 +202,11 @@ fn bodies(kinematics: &Kinematics) -> Vec<Body> {
         let carrier_from_link = kinematics.pose(carrier).inv_mul(kinematics.pose(id));
         for collision in &link.collisions {
             let (shape_from_parry, shape) = convex(&collision.shape);
-            let part = (carrier_from_link * collision.link_from_shape * shape_from_parry, shape);
+            let body_from_shape = carrier_from_link * collision.link_from_shape * shape_from_parry;
+            let part = Part { link: id, body_from_shape, shape };
             match bodies.iter_mut().find(|body| body.link == carrier) {
-                Some(body) => body.shapes.push(part),
-                None => {
-                    let (center, radius) = (Point3::origin(), 0.0);
-                    bodies.push(Body { link: carrier, shapes: vec![part], center, radius });
-                }
+                Some(body) => body.parts.push(part),
+                None => bodies.push(Body::new(carrier, part)),
             }
         }
     }
@@ -187,11 +256,16 @@ fn hull(mesh: &Mesh) -> (Isometry3<f64>, SharedShape) {
 }
 
 impl Body {
+    /// A body of one part; its ball is not yet known.
+    fn new(link: LinkId, part: Part) -> Self {
+        Self { link, parts: vec![part], center: Point3::origin(), radius: 0.0 }
+    }
+
     /// Puts the ball around all shapes.
     fn enclose(&mut self) {
-        let balls = self.shapes.iter().map(|(link_from_shape, shape)| {
-            let ball = shape.compute_local_bounding_sphere();
-            (link_from_shape * point(ball.center), ball.radius)
+        let balls = self.parts.iter().map(|part| {
+            let ball = part.shape.compute_local_bounding_sphere();
+            (part.body_from_shape * point(ball.center), ball.radius)
         });
         let balls: Vec<(Point3<f64>, f64)> = balls.collect();
         let sum = balls.iter().fold(Vector3::zeros(), |sum, (center, _)| sum + center.coords);
@@ -200,19 +274,32 @@ impl Body {
     }
 }
 
-/// The nearest points of two bodies, or a lower bound of their distance where they are farther apart than [`FAR`], m.
-fn nearest(kinematics: &Kinematics, a: &Body, b: &Body) -> Result<Near, f64> {
-    let (root_from_a, root_from_b) = (kinematics.pose(a.link), kinematics.pose(b.link));
-    let between = (root_from_b * b.center - root_from_a * a.center).norm();
-    if between - a.radius - b.radius > FAR {
-        return Err(between - a.radius - b.radius);
+impl Pair {
+    /// Two bodies of a robot: all their parts, but for those that may touch.
+    fn new([a, b]: [usize; 2], bodies: &[Body], model: &Model) -> Self {
+        let both = (0..bodies[a].parts.len()).flat_map(|i| (0..bodies[b].parts.len()).map(move |k| [i, k]));
+        let apart =
+            |[i, k]: &[usize; 2]| !model.may_touch(bodies[a].parts[*i].link, bodies[b].parts[*k].link);
+        Self { bodies: [a, b], parts: both.filter(apart).collect() }
     }
-    let mut nearest: Result<Near, f64> = Err(FAR);
-    for (a_from_shape, first) in &a.shapes {
-        let root_from_first = pose(&(root_from_a * a_from_shape));
-        for (b_from_shape, second) in &b.shapes {
-            let root_from_second = pose(&(root_from_b * b_from_shape));
-            let found = contact(&root_from_first, &**first, &root_from_second, &**second, FAR);
+
+    /// The nearest points of both, or a lower bound of their distance where they are farther apart than [`FAR`], m.
+    fn nearest(&self, kinematics: &Kinematics, bodies: &[Body]) -> Result<Near, f64> {
+        let [a, b] = self.bodies.map(|body| &bodies[body]);
+        let (root_from_a, root_from_b) = (kinematics.pose(a.link), kinematics.pose(b.link));
+        let between = (root_from_b * b.center - root_from_a * a.center).norm();
+        if between - a.radius - b.radius > FAR {
+            return Err(between - a.radius - b.radius);
+        }
+        let mut nearest: Result<Near, f64> = Err(FAR);
+        let mut root_from_first = (usize::MAX, Pose::IDENTITY);
+        for &[i, k] in &self.parts {
+            let (first, second) = (&a.parts[i], &b.parts[k]);
+            if root_from_first.0 != i {
+                root_from_first = (i, pose(&(root_from_a * first.body_from_shape)));
+            }
+            let root_from_second = pose(&(root_from_b * second.body_from_shape));
+            let found = contact(&root_from_first.1, &*first.shape, &root_from_second, &*second.shape, FAR);
             let Ok(Some(found)) = found else { continue };
             if nearest.as_ref().is_ok_and(|near| near.distance <= found.dist) {
                 continue;
@@ -222,8 +309,8 @@ fn nearest(kinematics: &Kinematics, a: &Body, b: &Body) -> Result<Near, f64> {
             let points = [point(found.point1), point(found.point2)];
             nearest = Ok(Near { distance: found.dist, links: [a.link, b.link], points, direction });
         }
+        nearest
     }
-    nearest
 }
 
 fn vector(v: &Vector3<f64>) -> Vector {
@@ -277,7 +364,8 @@ impl Distances {
             *moved += displacement(pose, now, body);
             *pose = *now;
         }
-        for (&(a, b), known) in pairs.iter().zip(&mut self.known) {
+        for (pair, known) in pairs.iter().zip(&mut self.known) {
+            let [a, b] = pair.bodies;
             let moved = self.moved[a] + self.moved[b];
             let since = moved - known.moved;
             let (distance, slack) = match known.nearest {
@@ -285,17 +373,18 @@ impl Distances {
                 Err(distance) => (distance, (distance - FAR).max(FINE)),
             };
             if since > slack || distance.is_nan() {
-                *known = Known { nearest: nearest(kinematics, &bodies[a], &bodies[b]), moved };
+                *known = Known { nearest: pair.nearest(kinematics, bodies), moved };
             }
         }
     }
 
     /// The pairs that are nearer than `within` m.
     pub(crate) fn near(&self, within: f64) -> impl Iterator<Item = (usize, Near)> {
-        let one = move |((pair, known), &(a, b)): ((usize, &Known), &(usize, usize))| {
+        let one = move |((index, known), pair): ((usize, &Known), &Pair)| {
+            let [a, b] = pair.bodies;
             let mut near = known.nearest.ok()?;
             near.distance -= (self.moved[a] + self.moved[b] - known.moved).max(0.0);
-            (near.distance < within).then_some((pair, near))
+            (near.distance < within).then_some((index, near))
         };
         self.known.iter().enumerate().zip(&self.bodies.pairs).filter_map(one)
     }
@@ -340,12 +429,12 @@ mod tests {
                 continue;
             }
             let followed: std::collections::BTreeMap<usize, Near> = distances.near(0.2).collect();
-            for (pair, &(a, b)) in bodies.pairs.iter().enumerate() {
-                let Ok(exact) = nearest(&kinematics, &bodies.bodies[a], &bodies.bodies[b]) else { continue };
+            for (index, pair) in bodies.pairs.iter().enumerate() {
+                let Ok(exact) = pair.nearest(&kinematics, &bodies.bodies) else { continue };
                 if exact.distance < 0.19 {
-                    let bound = followed[&pair].distance;
-                    assert!(bound <= exact.distance + 1e-6, "{pair}: {bound} {}", exact.distance);
-                    assert!(bound >= exact.distance - 0.021, "{pair}: {bound} {}", exact.distance);
+                    let bound = followed[&index].distance;
+                    assert!(bound <= exact.distance + 1e-6, "{index}: {bound} {}", exact.distance);
+                    assert!(bound >= exact.distance - 0.021, "{index}: {bound} {}", exact.distance);
                     seen += 1;
                 }
             }
@@ -355,28 +444,25 @@ mod tests {
 
     #[test]
     fn distances_are_those_of_geometry() {
-        let ball = |link: usize, x: f64| Body {
-            link: LinkId(link),
-            shapes: vec![(Isometry3::translation(x, 0.0, 0.0), SharedShape::ball(0.1))],
-            center: Point3::new(x, 0.0, 0.0),
-            radius: 0.1,
+        let body = |body_from_shape: Isometry3<f64>, shape: SharedShape| {
+            let mut body = Body::new(LinkId(0), Part { link: LinkId(0), body_from_shape, shape });
+            body.enclose();
+            body
         };
+        let ball = |x: f64| body(Isometry3::translation(x, 0.0, 0.0), SharedShape::ball(0.1));
         let (upright, shape) = convex(&Geometry::Cylinder { radius: 0.1, length: 1.0 });
-        let cylinder = Body {
-            link: LinkId(0),
-            shapes: vec![(Isometry3::translation(0.0, 0.3, 0.0) * upright, shape)],
-            center: Point3::new(0.0, 0.3, 0.0),
-            radius: 0.6,
-        };
+        let cylinder = body(Isometry3::translation(0.0, 0.3, 0.0) * upright, shape);
         let kinematics = Kinematics::new(&armar3());
-        let near = nearest(&kinematics, &ball(0, 0.0), &ball(0, 0.25)).unwrap();
+        let nearest =
+            |a: Body, b: Body| Pair { bodies: [0, 1], parts: vec![[0, 0]] }.nearest(&kinematics, &[a, b]);
+        let near = nearest(ball(0.0), ball(0.25)).unwrap();
         assert!((near.distance - 0.05).abs() < 1e-9 && near.direction.x > 0.999, "{near:?}");
-        let overlap = nearest(&kinematics, &ball(0, 0.0), &ball(0, 0.15)).unwrap();
+        let overlap = nearest(ball(0.0), ball(0.15)).unwrap();
         assert!((overlap.distance + 0.05).abs() < 1e-9 && overlap.direction.x > 0.999, "{overlap:?}");
         // A cylinder about z, beside the ball.
-        let near = nearest(&kinematics, &ball(0, 0.0), &cylinder).unwrap();
+        let near = nearest(ball(0.0), cylinder).unwrap();
         assert!((near.distance - 0.1).abs() < 1e-6 && near.direction.y > 0.999, "{near:?}");
-        assert_eq!(nearest(&kinematics, &ball(0, 0.0), &ball(0, 1.0)).unwrap_err(), 0.8);
+        assert_eq!(nearest(ball(0.0), ball(1.0)).unwrap_err(), 0.8);
     }
 
     #[test]
@@ -392,5 +478,19 @@ mod tests {
             assert!(!pairs.contains(&left_out), "{left_out:?}");
         }
         assert!(!pairs.contains(&["finger_left_r", "finger_right_r"]));
+    }
+
+    #[test]
+    fn pairs_that_an_srdf_disables_are_left_out() {
+        let mut model = Model::clone(&armar3());
+        let [head, hand] = ["head_tilt", "hand_left"].map(|name| model.require_link(name).unwrap());
+        let count = Bodies::new(&Arc::new(model.clone())).pairs.len();
+        model.may_touch = BTreeSet::from([[head, hand]]);
+        let bodies = Bodies::new(&Arc::new(model.clone()));
+        let name = |link: LinkId| model.links()[link.index()].name.as_str();
+        let pairs: BTreeSet<[&str; 2]> = bodies.pairs().map(|links| links.map(name)).collect();
+        assert!(!pairs.contains(&["head_tilt", "wrist_2_l"]), "the hand is the only part of that body");
+        assert!(pairs.contains(&["head_tilt", "wrist_2_r"]) && pairs.contains(&["wrist_2_r", "wrist_2_l"]));
+        assert_eq!(pairs.len(), count - 1);
     }
 }

@@ -287,7 +287,9 @@ fn arms_hands_and_what_they_hang_on_are_told_from_a_description() {
     let groups = "<group name='right'><chain base_link='lift' tip_link='right_tool'/></group>\
                   <group name='gripper'><joint name='a'/><joint name='b'/></group>\
                   <end_effector name='e' parent_link='right_tool' group='gripper'/>\
-                  <group_state name='ready' group='right'><joint name='right_2' value='0.5'/><joint name='right_3' value='7'/></group_state>";
+                  <group_state name='ready' group='right'><joint name='right_2' value='0.5'/><joint name='right_3' value='7'/></group_state>\
+                  <disable_collisions link1='right_4' link2='left_1' reason='Never'/>\
+                  <disable_collisions link1='right_4' link2='of another variant'/>";
     std::fs::write(&srdf, format!("<robot name='two'>{groups}</robot>")).unwrap();
     std::fs::write(folder.join("robot.yaml"), "robot: two\ndescription: two.urdf\nsemantics: two.srdf\n")
         .unwrap();
@@ -315,6 +317,8 @@ fn arms_hands_and_what_they_hang_on_are_told_from_a_description() {
     let ready = &model.postures()["ready"];
     let at = |joint: &str| ready[model.joint(joint).unwrap()];
     assert_eq!((at("right_2"), at("right_3"), at("left_1")), (0.5, 2.0, 0.0));
+    let [right, left] = ["right_4", "left_1"].map(|link| model.require_link(link).unwrap());
+    assert!(model.may_touch(right, left) && model.may_touch(left, right) && !model.may_touch(right, right));
     assert!(
         warnings.iter().any(|warning| warning.message.contains("7 is beyond the limits")),
         "{warnings:?}"

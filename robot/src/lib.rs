@@ -3,6 +3,7 @@
 //! - [`Model`]: joints, links, limbs, hands, postures, read from a robot file and its URDF. [`Kinematics`]: poses,
 //!   Jacobians.
 //! - [`DifferentialIk`], [`solve_pose`]: from a twist or a pose of a link to joint velocities or positions.
+//! - [`planning`]: paths of joints around the robot's own bodies and known boxes.
 //! - [`Robot`]: the interface for skills. [`Lease`]: the exclusive right to command one limb.
 //! - [`Guard`]: the safety layer between leases and joints: limits, watchdog, force limit. Pure and stepped.
 //! - [`DummyRobot`], [`conformance`]: ideal joints for tests, and the checks that every driver's test calls.
@@ -19,11 +20,13 @@ mod error;
 mod gaze;
 mod grasp;
 mod guard;
+mod history;
 mod ik;
 mod kinematics;
 mod mesh;
 mod model;
 pub mod newest;
+pub mod planning;
 mod pose_ik;
 mod seam;
 mod wrist;
@@ -33,6 +36,7 @@ pub use dummy::{DummyRobot, ServoJoints};
 pub use error::RobotError;
 pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
+pub use history::JointHistory;
 pub use ik::{DifferentialIk, IkConfig, IkStep};
 pub use kinematics::{Jacobian, Kinematics, Twist};
 pub use mesh::Mesh;

@@ -5,7 +5,7 @@
 //! description's depth-first walk, and so is every joint array of this room; a mimic joint is no joint of its own, it
 //! moves its link with its leader's position ([`JointMotion`]). Start at [`Model`].
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
@@ -265,6 +265,8 @@ pub struct Model {
     pub(crate) start_posture: Option<String>,
     pub(crate) start: Vec<f64>,
     pub(crate) limits: RobotLimits,
+    /// Pairs of links that need not keep their distance, each in the order of the links.
+    pub(crate) may_touch: BTreeSet<[LinkId; 2]>,
 }
 
 impl Model {
@@ -436,6 +438,11 @@ impl Model {
     /// Its own limits.
     pub fn limits(&self) -> RobotLimits {
         self.limits
+    }
+
+    /// Whether two links need not keep their distance: the SRDF disables their collisions.
+    pub fn may_touch(&self, a: LinkId, b: LinkId) -> bool {
+        self.may_touch.contains(&[a.min(b), a.max(b)])
     }
 }
 

@@ -63,6 +63,8 @@ pub struct IkError {
 const ORIENTATION_WEIGHT: f64 = 0.3;
 /// Largest change of a joint in one iteration, rad (m).
 const MAX_CHANGE: f64 = 0.4;
+/// Random configurations of which the one nearest to the target is the next start: most starts that fail begin far away.
+const CANDIDATES: usize = 20;
 /// Range of starts for joints without limits, rad.
 const UNBOUNDED: f64 = std::f64::consts::PI;
 
@@ -100,14 +102,14 @@ pub fn solve_pose(
     let mut best: Option<(f64, IkError)> = None;
     for start in 0..=options.restarts {
         if start > 0 {
-            solver.scatter(&mut q, rng);
+            q = solver.scattered(&q, root_from_target, rng);
         }
         solver.clamp(&mut q);
         let (position, orientation) = solver.descend(&mut q, root_from_target);
         if position <= options.position_tolerance && orientation <= options.orientation_tolerance {
             return Ok(q);
         }
-        let cost = position + ORIENTATION_WEIGHT * orientation;
+        let cost = cost((position, orientation));
         if best.as_ref().is_none_or(|(least, _)| cost.total_cmp(least).is_lt()) {
             let error = IkError {
                 link: model.links()[link.index()].name.clone(),
@@ -119,6 +121,11 @@ pub fn solve_pose(
         }
     }
     Err(best.expect("the seed was tried").1)
+}
+
+/// One number for both errors, m.
+fn cost((position, orientation): (f64, f64)) -> f64 {
+    position + ORIENTATION_WEIGHT * orientation
 }
 
 struct Solver<'a> {
@@ -158,11 +165,23 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn scatter(&self, q: &mut [f64], rng: &mut impl Rng) {
-        for &j in self.joints {
-            let (lower, upper) = self.range(j);
-            q[j] = rng.random_range(lower.max(-UNBOUNDED)..=upper.min(UNBOUNDED).max(lower.max(-UNBOUNDED)));
+    /// A random configuration that is near the target.
+    fn scattered(&mut self, q: &[f64], target: &Isometry3<f64>, rng: &mut impl Rng) -> Vec<f64> {
+        let mut nearest = (f64::INFINITY, q.to_vec());
+        for _ in 0..CANDIDATES {
+            let mut candidate = q.to_vec();
+            for &j in self.joints {
+                let (lower, upper) = self.range(j);
+                let lower = lower.max(-UNBOUNDED);
+                candidate[j] = rng.random_range(lower..=upper.min(UNBOUNDED).max(lower));
+            }
+            self.kinematics.update(&candidate);
+            let cost = cost(norms(&self.error(target)));
+            if cost < nearest.0 {
+                nearest = (cost, candidate);
+            }
         }
+        nearest.1
     }
 
     /// Iterates until the error no longer decreases. Returns the position and orientation errors, m and rad.
@@ -171,7 +190,7 @@ impl<'a> Solver<'a> {
         for _ in 0..self.options.iterations {
             self.kinematics.update(q);
             let error = self.error(target);
-            errors = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
+            errors = norms(&error);
             let reached = errors.0 <= self.options.position_tolerance * 0.1
                 && errors.1 <= self.options.orientation_tolerance * 0.1;
             if reached || !error.iter().all(|e| e.is_finite()) || self.improve(q, &error) < 1e-9 {
@@ -264,6 +283,11 @@ impl<'a> Solver<'a> {
         }
         false
     }
+}
+
+/// The position and orientation parts of an error, m and rad.
+fn norms(error: &Vector6<f64>) -> (f64, f64) {
+    (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm())
 }
 
 /// The rotation vector of `rotation`. If the rotation about one axis is free, the shortest rotation that aligns

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_robot::description;
+use armarium_robot::planning::Planner;
 use armarium_robot::{Limb, Model, PoseOptions, solve_pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -28,7 +29,11 @@ fn urdfs(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The shares, each of 1, of random reachable poses that are found with 5 restarts, and from the home posture alone.
+/// Random configurations of an arm that are looked at for one that is free of collision.
+const TRIES: usize = 200;
+
+/// The shares, each of 1, of random reachable poses, free of collision where such are found, that are found with 5 restarts, and
+/// from the home posture alone.
 fn reached(model: &Arc<Model>, arm: &Limb) -> (f64, f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let tcp = arm.tcp.unwrap();
@@ -40,13 +45,19 @@ fn reached(model: &Arc<Model>, arm: &Limb) -> (f64, f64) {
         restarts,
         ..PoseOptions::default()
     };
+    let mut planner = Planner::new(model, &[]);
     let (mut all, mut from_home) = (0, 0);
     for _ in 0..POSES {
         let mut goal = model.start().to_vec();
-        for &j in &arm.joints {
-            let joint = &model.joints()[j];
-            goal[j] =
-                rng.random_range(joint.lower.max(-3.1)..=joint.upper.min(3.1).max(joint.lower.max(-3.1)));
+        for _ in 0..TRIES {
+            for &j in &arm.joints {
+                let joint = &model.joints()[j];
+                let (lower, upper) = (joint.lower.max(-3.1), joint.upper.min(3.1));
+                goal[j] = rng.random_range(lower..=upper.max(lower));
+            }
+            if planner.nearest(&goal).is_none_or(|near| near.distance_m > 0.0) {
+                break;
+            }
         }
         let target = model.link_pose(&goal, tcp);
         let mut solve = |restarts| {
@@ -73,7 +84,6 @@ fn robots_of_the_wild_are_read_and_reach() {
     let mut files = Vec::new();
     urdfs(Path::new(&folder), &mut files);
     let (mut read, mut refused, mut arms, mut weak) = (0, Vec::new(), 0, Vec::new());
-    let (mut found_of_all, mut poor) = (0.0, Vec::new());
     for file in &files {
         let name = file.file_stem().unwrap().to_string_lossy().into_owned();
         match description::load(file, &[]) {
@@ -91,10 +101,6 @@ fn robots_of_the_wild_are_read_and_reach() {
                 for arm in model.arms().filter(|arm| arm.joints.len() >= 6) {
                     let (all, from_home) = reached(&model, arm);
                     arms += 1;
-                    found_of_all += all;
-                    if all < 0.9 || from_home < 0.5 {
-                        poor.push(format!("{name} {}", arm.name));
-                    }
                     if all < 0.95 || from_home < 0.5 {
                         weak.push(format!("{name} {}: {all} of all, {from_home} from home", arm.name));
                     }
@@ -106,6 +112,5 @@ fn robots_of_the_wild_are_read_and_reach() {
     eprintln!("{read} of {} read, {arms} arms; refused: {refused:#?}; weak: {weak:#?}", files.len());
     assert!(!files.is_empty(), "there is no URDF in {}", folder.display());
     assert!(refused.len() * 23 <= files.len(), "{refused:#?}");
-    assert!(found_of_all >= 0.95 * arms as f64, "{found_of_all} of {arms} arms");
-    assert!(poor.is_empty(), "{poor:#?}");
+    assert!(weak.is_empty(), "{weak:#?}");
 }

@@ -244,6 +244,7 @@ impl Simulation {
         self.apply_external_forces(t);
         self.publish_truth(stamp_ns);
         self.draw_frames(stamp_ns, t);
+        self.eyes.deliver(stamp_ns);
         if self.steps.is_multiple_of(WIPE_EVERY) {
             self.wipe();
         }

@@ -241,6 +241,11 @@ impl Arm {
         self.leases.command(step.velocities)
     }
 
+    /// Moves the joints with which it reaches, rad/s (m/s), in their order.
+    pub(crate) fn command(&self, velocities: &[f64]) -> Result<(), Failure> {
+        self.leases.command(velocities)
+    }
+
     /// Holds the arm still.
     pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
         self.twist(sample, Vector3::zeros(), Vector3::zeros())

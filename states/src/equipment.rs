@@ -4,10 +4,14 @@ use std::future::Future;
 use std::sync::Arc;
 
 use armarium_memoryx::Memory;
-use armarium_robot::{Limb, Robot};
+use armarium_robot::{Limb, LinkId, Robot};
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::Frame;
+use armarium_values::transforms::Transforms;
 use armarium_visionx::ImageSource;
 use futures::future::BoxFuture;
+use nalgebra::Isometry3;
+use parking_lot::RwLock;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
@@ -26,6 +30,8 @@ pub struct Equipment {
     pub agent: String,
     /// Seed of the random numbers of tracking.
     pub seed: u64,
+    /// Where the robot's links, its cameras and what else has a frame were in the last seconds, in the time of its samples.
+    pub transforms: Arc<RwLock<Transforms>>,
     /// The motions that its skills run now.
     pub motions: RunningMotions,
     /// The arm that works where a skill's input names none, a group of the robot; `None`: the robot's first.
@@ -44,6 +50,13 @@ impl Equipment {
     /// A random generator that gives the same numbers in every run with the same seed.
     pub(crate) fn random(&self) -> ChaCha8Rng {
         ChaCha8Rng::seed_from_u64(self.seed)
+    }
+
+    /// Where a link of the robot was at a time of its samples, for instance that of a picture: its pose in the root frame.
+    pub(crate) fn link_at(&self, link: LinkId, stamp_ns: u64) -> Result<Isometry3<f64>, Failure> {
+        let frame = Frame(self.robot.model().links()[link.index()].name.clone());
+        let known = self.transforms.read().transform(&Frame::root(), &frame, stamp_ns);
+        known.map_err(|error| Failure::new(error.to_string()))
     }
 }
 

@@ -1,5 +1,6 @@
 //! The head under a skill's command: it turns until the cameras look at a point, and follows a moving point. Both
 //! cameras stay parallel, as the stereo calibration holds only then. It holds the lease for as long as it lives.
+//! Cameras that nothing turns look where they look: they can only be asked how far off a point is.
 
 use std::sync::Arc;
 
@@ -10,17 +11,16 @@ use nalgebra::Point3;
 use crate::arm::lease;
 use crate::equipment::Equipment;
 
-/// The limb that turns the cameras.
-fn head(model: &Model) -> Result<&str, Failure> {
-    let on = model.camera().and_then(|camera| camera.on.as_deref());
-    on.ok_or_else(|| Failure::new(format!("nothing turns the cameras of the robot `{}`", model.name())))
+/// The limb that turns the cameras, if there is one.
+fn head(model: &Model) -> Option<&str> {
+    model.camera()?.on.as_deref()
 }
 
 /// Adds the limb that a skill commands when it turns the head.
 pub(crate) fn moves_the_head(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
     match head(equipment.robot.model()) {
-        Ok(head) => manifest.limb(head),
-        Err(_) => manifest,
+        Some(head) => manifest.limb(head),
+        None => manifest,
     }
 }
 
@@ -31,7 +31,8 @@ const RENEWAL: f64 = 0.1;
 
 /// The head that a skill commands.
 pub(crate) struct Head {
-    lease: Lease,
+    /// None for cameras that nothing turns.
+    lease: Option<Lease>,
     joints: Vec<usize>,
     model: Arc<Model>,
     gaze: Gaze,
@@ -43,10 +44,15 @@ impl Head {
     /// Leases the head for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
-        let lease = lease(equipment, context, head(&model)?)?;
-        let joints = model.limb(head(&model)?).to_vec();
+        let lease = head(&model).map(|head| lease(equipment, context, head)).transpose()?;
+        let joints = head(&model).map_or_else(Vec::new, |head| model.limb(head).to_vec());
         let gaze = Gaze::of(&model).map_err(|e| Failure::new(e.to_string()))?;
         Ok(Self { lease, joints, model, gaze, goal: None })
+    }
+
+    /// Whether it can turn.
+    pub(crate) fn turns(&self) -> bool {
+        self.lease.is_some()
     }
 
     /// Turns towards `point` (root frame, m) for `dt` s, each joint with at most `speed` rad/s, as close as the
@@ -58,6 +64,8 @@ impl Head {
         point: &Point3<f64>,
         speed: f64,
     ) -> Result<f64, Failure> {
+        let angle = self.gaze.angle(&self.model, &sample.position, point);
+        let Some(lease) = &self.lease else { return Ok(angle) };
         let goal = match self.goal.take() {
             Some((goal, age)) if age + dt < RENEWAL => (goal, age + dt),
             _ => (self.facing(sample, point), 0.0),
@@ -65,8 +73,8 @@ impl Head {
         let towards = |&j: &usize| (GAIN * (goal.0[j] - sample.position[j])).clamp(-speed, speed);
         let velocity: Vec<f64> = self.joints.iter().map(towards).collect();
         self.goal = Some(goal);
-        self.lease.command(&velocity).map_err(|fault| Failure::new(fault.to_string()))?;
-        Ok(self.gaze.angle(&self.model, &sample.position, point))
+        lease.command(&velocity).map_err(|fault| Failure::new(fault.to_string()))?;
+        Ok(angle)
     }
 
     fn facing(&self, sample: &Sensed, point: &Point3<f64>) -> Vec<f64> {

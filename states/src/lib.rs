@@ -9,6 +9,7 @@
 //! A skill never accesses the simulator: it knows only what it senses.
 
 mod arm;
+mod around;
 mod coaching;
 mod equipment;
 mod frames;

@@ -31,8 +31,9 @@ const CAMERAS: &[&str] = &[
     "VerifyGrasp",
     "MovementImitation",
     "VisionCoaching",
+    "LookAt",
+    "WatchCoach",
 ];
-const GAZE: &[&str] = &["LookAt", "WatchCoach"];
 
 /// What a robot lacks, and for which skills.
 pub fn lacks(model: &Model) -> Vec<Lack> {
@@ -52,10 +53,8 @@ pub fn lacks(model: &Model) -> Vec<Lack> {
             Some(_) => {}
         }
     }
-    match model.camera() {
-        None => lack("no `cameras`".to_owned(), CAMERAS),
-        Some(camera) if camera.on.is_none() => lack(format!("`{}` is `on` no group", camera.name), GAZE),
-        Some(_) => {}
+    if model.camera().is_none() {
+        lack("no `cameras`".to_owned(), CAMERAS);
     }
     lacks
 }

@@ -7,7 +7,7 @@
 use std::f64::consts::TAU;
 
 use armarium_memoryx::EntityId;
-use armarium_motion::{Motion, PeriodicOrientationDmp, StraightLine, SurfaceCorrection};
+use armarium_motion::{ContactFrame, Motion, PeriodicOrientationDmp, StraightLine, SurfaceCorrection};
 use armarium_robot::Sensed;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, SkillContext};
@@ -22,6 +22,10 @@ use crate::running_motion::MotionOwner;
 
 /// Largest rate of change of the pace (share of the learned frequency), 1/s.
 const PACE_RATE: f64 = 1.5;
+/// Steepest surface that is wiped: its rise over the way across, 15 degrees.
+const STEEPEST: f64 = 0.268;
+/// A tool that presses with more than this touches, N.
+const TOUCHING: f64 = 1.5;
 /// An arm that is this far behind its reference cannot follow the motion, m.
 const LOST_TRACK: f64 = 0.06;
 
@@ -70,6 +74,8 @@ pub(crate) struct Wiper {
     /// The hand's rotation, if the motion has one.
     turning: Option<PeriodicOrientationDmp>,
     pace: f64,
+    /// The frame of the contact with the surface.
+    contact: ContactFrame,
     channels: Channels,
 }
 
@@ -85,7 +91,9 @@ impl Wiper {
         let turning = motion.motion().orientation().cloned();
         let arm = Arm::take(equipment, context)?;
         let channels = context.channels.clone();
-        Ok(Self { arm, id, motion, orientation, turning, pace: 0.0, channels })
+        // The tool comes from above.
+        let contact = ContactFrame::new(&Vector3::z()).map_err(failed)?;
+        Ok(Self { arm, id, motion, orientation, turning, pace: 0.0, contact, channels })
     }
 
     /// The motion as it was when it began to run.
@@ -113,6 +121,24 @@ impl Wiper {
         self.motion.set_height(z)
     }
 
+    /// The force with which the tool presses on the surface, N; at touchdown its direction is the first guess of the normal.
+    pub(crate) fn touch(&mut self, sample: &Sensed, dt: f64) -> Result<f64, Failure> {
+        let force = self.arm.force(sample)?;
+        self.contact.touch(dt, &force).map_err(failed)?;
+        Ok(self.contact.pressing(&force))
+    }
+
+    /// The force with which the tool presses on the surface, N, whose normal follows from where it has wiped.
+    pub(crate) fn pressing(&mut self, sample: &Sensed) -> Result<f64, Failure> {
+        let force = self.contact.pressing(&self.arm.force(sample)?);
+        if force > TOUCHING {
+            self.contact.wipe(&self.arm.tcp(sample).translation.vector).map_err(failed)?;
+        } else {
+            self.contact.lift();
+        }
+        Ok(force)
+    }
+
     /// The phase, rad.
     pub(crate) fn phase(&self) -> f64 {
         self.motion.state().phase
@@ -135,6 +161,12 @@ impl Wiper {
         }
         self.pace = 0.0;
         Ok(())
+    }
+
+    /// How much higher the surface may be at the present point of the path than where the tool was grasped, m.
+    pub(crate) fn rise_from(&self, tool: &GraspedTool) -> f64 {
+        let (y, at) = (self.motion.state().y, tool.tcp.translation.vector);
+        STEEPEST * (y[0] - at.x).hypot(y[1] - at.y)
     }
 
     /// Moves the TCP on a straight line to the present point of the path, at height `z` m.
@@ -185,6 +217,8 @@ impl Wiper {
     fn publish(&mut self, sample: &Sensed, phase: f64, omega: f64) {
         let tcp = self.arm.tcp(sample).translation.vector;
         let velocity = self.arm.tcp_velocity(sample);
+        let normal = self.contact.normal();
+        let pressing = self.arm.force(sample).map_or(0.0, |force| self.contact.pressing(&force));
         self.channels.publish(
             "motion",
             Value::record([
@@ -192,7 +226,8 @@ impl Wiper {
                 ("frequency", Value::Float(omega / TAU)),
                 ("position", Value::from([tcp.x, tcp.y, tcp.z])),
                 ("velocity", Value::from([velocity.x, velocity.y, velocity.z])),
-                ("normal_force", Value::Float(self.arm.force(sample).map_or(0.0, |force| force.z))),
+                ("normal_force", Value::Float(pressing)),
+                ("normal", Value::from([normal.x, normal.y, normal.z])),
             ]),
         );
     }

@@ -6,6 +6,7 @@
 pub mod expr;
 mod geometry;
 pub mod report;
+pub mod transforms;
 mod types;
 mod unit;
 mod value;

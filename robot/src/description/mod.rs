@@ -171,13 +171,17 @@ fn robot_file(
         packages.iter().cloned().chain(file.packages.iter().map(|package| folder.join(package))).collect();
     let (tree, mut warnings) = urdf::read(&urdf, &mut Meshes::new(&path, &packages));
     let Some(tree) = tree else { return Err(warnings) };
+    let mut disabled = srdf::Pairs::new();
     if let Some(srdf) = semantics {
-        warnings.extend(srdf::merge(&srdf, &tree, &mut file));
+        let (pairs, found) = srdf::merge(&srdf, &tree, &mut file);
+        disabled = pairs;
+        warnings.extend(found);
         if warnings.iter().any(Finding::is_error) {
             return Err(warnings);
         }
     }
-    let model = resolve::model(&file, &node, tree, &mut findings);
+    let mut model = resolve::model(&file, &node, tree, &mut findings);
+    model.may_touch = disabled;
     if findings.list.iter().any(Finding::is_error) {
         findings.list.sort_by_key(|finding| finding.span.start);
         return Err(findings.list);

@@ -1,6 +1,6 @@
 //! From a robot file and the tree of its URDF to a model: finds every name, and says which ones are not there.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use armarium_source::yaml::Node;
 use armarium_source::{Findings, Span, code};
@@ -49,6 +49,7 @@ pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Fi
         start_posture: file.start.clone(),
         start,
         limits,
+        may_touch: BTreeSet::new(),
     }
 }
 

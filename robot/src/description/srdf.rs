@@ -1,7 +1,7 @@
 //! Reads SRDF: groups, end effectors and group states become groups, hands and postures of the robot file, where it does not
-//! have them under the same name. Pairs of links whose collisions are disabled are not read.
+//! have them under the same name. Pairs of links whose collisions are disabled go straight into the model.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_source::{Finding, Findings, Severity, Source, Span, code};
@@ -11,12 +11,19 @@ use super::file::{GroupFile, HandFile, Position, RobotFile};
 use super::urdf::{Tree, span};
 use crate::model::LinkId;
 
-/// Adds what an SRDF says to a robot file. Returns what is wrong with it.
-pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> Vec<Finding> {
+/// Pairs of links, the first one before the second one.
+pub(super) type Pairs = BTreeSet<[LinkId; 2]>;
+
+/// Adds what an SRDF says to a robot file. Returns the pairs of links that need not keep their distance, and what is wrong
+/// with the SRDF.
+pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> (Pairs, Vec<Finding>) {
     let mut findings = Findings::new(Arc::clone(source));
+    let mut pairs = Pairs::new();
     match Document::parse(&source.text) {
         Ok(document) if document.root_element().has_tag_name("robot") => {
-            Reader { root: document.root_element(), tree, findings: &mut findings }.merge(file);
+            let mut reader = Reader { root: document.root_element(), tree, findings: &mut findings };
+            reader.merge(file);
+            pairs = reader.disabled();
         }
         Ok(_) => {
             findings.error(code::FORM, Span { start: 0, end: 1 }, "cannot read SRDF: its root is not <robot>")
@@ -25,7 +32,7 @@ pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> 
             findings.error(code::FORM, Span { start: 0, end: 1 }, format!("cannot read SRDF: {error}"))
         }
     }
-    findings.list
+    (pairs, findings.list)
 }
 
 struct Reader<'a, 'f> {
@@ -93,6 +100,19 @@ impl<'a> Reader<'a, '_> {
                 file.postures.entry(posture.to_owned()).or_default().extend(positions);
             }
         }
+    }
+
+    /// The pairs of `disable_collisions`. SRDFs are shared between variants of a robot: a link that is not there is none
+    /// of this robot's.
+    fn disabled(&self) -> Pairs {
+        let link = |pair: &Node<'a, 'a>, key: &str| self.tree.link_ids.get(pair.attribute(key)?).copied();
+        let pairs = self.all("disable_collisions").into_iter();
+        pairs
+            .filter_map(|pair| {
+                let (a, b) = (link(&pair, "link1")?, link(&pair, "link2")?);
+                Some([a.min(b), a.max(b)])
+            })
+            .collect()
     }
 
     /// The joints of a group, in the order of the description for a chain, and the chain's last link.

@@ -3,11 +3,9 @@
 
 use std::sync::Arc;
 
-use crate::bodies::{Bodies, Distances, Near};
+use crate::bodies::{Bodies, Distances, KEPT, Near};
 use crate::{Kinematics, LinkId, Model};
 
-/// Distance that two bodies keep, m.
-const KEPT: f64 = 0.02;
 /// From this distance on they slow down, m.
 const SLOWING: f64 = 0.2;
 /// Approaching speed per distance that is left, 1/s. From the largest speed of a TCP, 1 m/s, this brakes with at most

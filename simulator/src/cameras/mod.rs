@@ -8,6 +8,7 @@ mod distant;
 #[cfg(test)]
 mod gestures;
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -126,12 +127,25 @@ struct StereoRig {
     /// Number of frames that were due.
     next_frame: u64,
     noise: SensorNoise,
+    latency_ns: u64,
+    /// The frames that were taken and have not arrived yet: at most one each millisecond of the latency.
+    on_their_way: VecDeque<StereoFrame>,
 }
 
 impl StereoRig {
     fn new(name: &str, calibration: StereoCalibration, rate: f64, noise: SensorNoise) -> Self {
         let source = Arc::new(SimulatedCameras::new(name, calibration));
-        Self { source, period_s: 1.0 / rate, next_frame: 0, noise }
+        let on_their_way = VecDeque::new();
+        Self { source, period_s: 1.0 / rate, next_frame: 0, noise, latency_ns: 0, on_their_way }
+    }
+
+    /// Publishes the frames that have arrived by `now_ns`.
+    fn deliver(&mut self, now_ns: u64) {
+        while self.on_their_way.front().is_some_and(|frame| frame.stamp_ns + self.latency_ns <= now_ns)
+            && let Some(frame) = self.on_their_way.pop_front()
+        {
+            self.source.publish(frame);
+        }
     }
 
     /// Whether a frame is due at `t` s; it is so once.
@@ -210,8 +224,9 @@ impl Eyes {
         );
         let [hx, hy] = table.half();
         let table_half = Vector3::new(hx, hy, THICKNESS / 2.0);
+        let rig = StereoRig::new(SimulatedCameras::NAME, calibration, spec.rate, noise);
         Self {
-            rig: StereoRig::new(SimulatedCameras::NAME, calibration, spec.rate, noise),
+            rig: StereoRig { latency_ns: (spec.latency * 1e9) as u64, ..rig },
             truth: Kinematics::new(model),
             belief: Kinematics::new(model),
             left,
@@ -248,8 +263,14 @@ impl Eyes {
     pub(crate) fn draw(&mut self, view: &SceneState<'_>) -> FrameTruth {
         let (drawn, truth) = self.paint(view);
         let frame = self.sensed(view.stamp_ns, drawn);
-        self.rig.source.publish(frame);
+        self.rig.on_their_way.push_back(frame);
+        self.rig.deliver(view.stamp_ns);
         truth
+    }
+
+    /// Publishes the frames that have arrived by `now_ns`.
+    pub(crate) fn deliver(&mut self, now_ns: u64) {
+        self.rig.deliver(now_ns);
     }
 
     /// Number of frames that were due.

@@ -4,8 +4,6 @@
 //! computes it documents it. Grasp, imitation and force are here; coaching, gestures and wiping have files of their
 //! own.
 
-use nalgebra::Vector3;
-
 use super::Mark;
 use super::gestures::gestures;
 use super::log::TruthLog;
@@ -15,8 +13,6 @@ use super::wiped::WipedCells;
 use crate::coach::{CoachPath, EventKind};
 use crate::world::World;
 
-/// Distance from the TCP to the middle of a nominally grasped object along the TCP's x, m.
-const GRASP_OFFSET: f64 = 0.08;
 /// Contact counts as lost below this normal force, N.
 const LOST_N: f64 = 0.2;
 /// Window after the first touch in which its peak is searched, s.
@@ -91,7 +87,7 @@ impl RunLog<'_> {
         let record = self.log.at(at)?;
         let (object, pose) = record.object?;
         let in_tcp = record.tcp.inverse() * pose;
-        let off = in_tcp.translation.vector - Vector3::x() * GRASP_OFFSET;
+        let off = in_tcp.translation.vector - self.world.grasp_in_tcp();
         let object = self.world.objects.get(object)?.name.clone();
         Some(GraspFigures { object, position_error_m: off.norm() })
     }
@@ -156,7 +152,7 @@ pub(super) fn ns(seconds: f64) -> u64 {
 mod tests {
     use std::f64::consts::TAU;
 
-    use nalgebra::Isometry3;
+    use nalgebra::{Isometry3, Vector3};
 
     use super::super::log::Record;
     use super::*;
@@ -170,16 +166,18 @@ mod tests {
         world.table.bumps.clear();
         let path = CoachPath::new(&world.coach.demonstration.clone().unwrap());
         let down = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::FRAC_PI_2);
+        // The default robot grasps along its TCP's x.
+        let grasp = world.grasp_in_tcp().x;
         let mut log = TruthLog::default();
         for i in 0..(seconds * 1e3) as u64 {
             let t = i as f64 * 1e-3;
             let phase = 0.5 * t;
             let [x, y] = path.point(TAU * phase);
             let normal = force(t);
-            let z = 0.95 + 0.02 + GRASP_OFFSET - normal / 2000.0;
+            let z = 0.95 + 0.02 + grasp - normal / 2000.0;
             let at = Vector3::new(x, y + shift(t, phase.fract()), z);
             let tcp = Isometry3::from_parts(at.into(), down);
-            let object = Isometry3::translation(at.x, at.y, at.z - GRASP_OFFSET);
+            let object = Isometry3::translation(at.x, at.y, at.z - grasp);
             log.records.push(Record {
                 stamp_ns: i * 1_000_000,
                 tcp,

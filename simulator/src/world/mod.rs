@@ -18,6 +18,7 @@ use armarium_robot::description::{self, default_robot, shipped_robots};
 use armarium_robot::{Limb, Model};
 use armarium_source::yaml::Node;
 use armarium_source::{Finding, Findings, Rule, Source, choice, code, form};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::error::SimulationError;
@@ -117,6 +118,8 @@ form! {
         pub baseline: f64 = 0.093, Rule::number("m", 0.02, 0.5);
         /// Standard deviation of each pixel's channels, grey levels of 255.
         pub noise: f64 = 2.0, Rule::number("", 0.0, 64.0);
+        /// From the exposure of a frame to its arrival; its stamp is that of the exposure.
+        pub latency: f64 = 0.0, Rule::number("s", 0.0, 1.0);
         /// How far the true camera is from where the robot believes it to be, in the camera's frame.
         pub mounting_error: MountingError = MountingError::default();
     }
@@ -328,6 +331,13 @@ impl World {
     pub fn model(&self) -> Result<Arc<Model>, SimulationError> {
         let robot = || self.robot.model.clone();
         self.robot.load().map_err(|findings| SimulationError::Robot { robot: robot(), findings })
+    }
+
+    /// The middle of a nominally grasped object in the frame of the TCP of the arm that works, m; 0 where it has no hand.
+    pub fn grasp_in_tcp(&self) -> Vector3<f64> {
+        let grasp =
+            |model: &Model| Some(model.hand_of(self.robot.arm(model)?)?.grasp_in_tcp.translation.vector);
+        self.model().ok().and_then(|model| grasp(&model)).unwrap_or_default()
     }
 
     /// Reads a world file; what it does not say is as in the default world. Values of ranges are drawn by `seed`

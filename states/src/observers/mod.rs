@@ -47,6 +47,7 @@ fn motion() -> ChannelDescription {
         ("position", vector(Unit::M), "of the TCP, three numbers in the root frame"),
         ("velocity", vector(Unit::M_S), "of the TCP, three numbers in the root frame"),
         ("normal_force", Type::quantity(Unit::N), "along the surface's normal"),
+        ("normal", Type::list(Type::FLOAT), "of the surface, outward, three numbers in the root frame"),
     ];
     ChannelDescription {
         rate: "each control step of a running motion".into(),

@@ -1,17 +1,20 @@
 //! The wrist of the arm that works: the force on the hand, and the push: the part along the surface that friction does not explain. With
 //! one wrist sensor, a push along the surface's normal cannot be distinguished from the surface's force.
 
-use armarium_motion::{FrictionConfig, FrictionModel};
+use armarium_motion::{ContactFrame, FrictionConfig, FrictionModel};
 use armarium_robot::Kinematics;
 use armarium_runtime::channels::Channels;
 use armarium_values::Value;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use crate::arm::{force_at, sensor_of, tcp_of};
 use crate::equipment::Equipment;
+use crate::inputs::as_vector;
 
 /// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
 const DECIMATION: u32 = 5;
+/// A motion that was published longer ago does not run any more, s.
+const FRESH_S: f64 = 0.1;
 
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
@@ -32,17 +35,25 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         kinematics.update(&sample.position);
         let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
         let force = force_at(sensor, &sample);
-        let push = friction.step(dt, force.z, [velocity.x, velocity.y], [force.x, force.y]);
+        // Who wipes knows the surface's normal; without a motion nothing is wiped.
+        let motion = channels.newest("motion").filter(|s| s.at.elapsed().as_secs_f64() < FRESH_S);
+        let normal =
+            motion.and_then(|s| s.value.get("normal").and_then(as_vector)).unwrap_or_else(Vector3::z);
+        let Ok(contact) = ContactFrame::new(&normal) else { continue };
+        let pressing = contact.pressing(&force);
+        let push = friction.step(dt, pressing, contact.along(&velocity), contact.along(&force));
         // An unusable sample (the first one, or one that is not finite) keeps the previous push.
         let push = push.unwrap_or_else(|_| friction.push());
         count += 1;
         if count % DECIMATION == 0 {
+            let [first, second] = contact.tangents();
+            let in_root = first.scale(push[0]) + second.scale(push[1]);
             channels.publish(
                 "wrist",
                 Value::record([
                     ("force", Value::from([force.x, force.y, force.z])),
-                    ("push", Value::from([push[0], push[1], 0.0])),
-                    ("normal", Value::Float(force.z)),
+                    ("push", Value::from([in_root.x, in_root.y, in_root.z])),
+                    ("normal", Value::Float(pressing)),
                     ("friction", Value::Float(friction.mu())),
                 ]),
             );

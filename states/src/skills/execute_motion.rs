@@ -76,7 +76,7 @@ async fn wipe(
     let mut omega = 0.0;
     loop {
         let (sample, dt) = senses.next().await?;
-        let pressing = wiper.arm.force(&sample)?.z;
+        let pressing = wiper.pressing(&sample)?;
         contact.check(dt, pressing)?;
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
         let pace = surface.pace().min(slow_down.factor(distance_of_hand(&context.channels)));

@@ -64,10 +64,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     required_speed(&equipment, &wiper.arm, wiper.motion(), &tool.tcp, tool.standing_height())?;
 
     wiper.start_nearest(&senses.newest())?;
-    wiper.approach(&mut senses, tool.standing_height() + context.number("hover")?, 0.2).await?;
+    let rise = wiper.rise_from(&tool);
+    let above = tool.standing_height() + context.number("hover")? + rise;
+    wiper.approach(&mut senses, above, 0.2).await?;
     let sensor = sensor_of(wiper.arm.limb())?;
     equipment.robot.tare(&equipment.robot.model().wrenches()[sensor].name).map_err(failed)?;
-    let fitted = fit(&context, &mut wiper, &mut senses, force).await;
+    let fitted = fit(&context, &mut wiper, &mut senses, (force, rise)).await;
     let reference = reference("Motion", wiper.id());
     let surface = match fitted {
         Ok(surface) => {
@@ -92,9 +94,9 @@ async fn fit(
     context: &SkillContext,
     wiper: &mut Wiper,
     senses: &mut Senses,
-    force: f64,
+    (force, rise): (f64, f64),
 ) -> Result<SurfaceAdaptation, Failure> {
-    let touched = touch_down(context, wiper, senses, force).await?;
+    let touched = touch_down(context, wiper, senses, (force, rise)).await?;
     let config = SurfaceConfig { force, ..SurfaceConfig::default() };
     let (surface, z) = begin(config, wiper.motion().surface(), touched, wiper.phase()).map_err(failed)?;
     let surface = learn(context, wiper, senses, surface, z).await?;
@@ -119,20 +121,22 @@ fn begin(
     }
 }
 
-/// Lowers the tool until the force is reached; returns the TCP's height there, m.
+/// Lowers the tool until the force is reached; returns the TCP's height there, m. The surface may be `rise` m higher or lower than
+/// where the tool was grasped.
 async fn touch_down(
     context: &SkillContext,
     wiper: &mut Wiper,
     senses: &mut Senses,
-    force: f64,
+    (force, rise): (f64, f64),
 ) -> Result<f64, Failure> {
     let hover = context.number("hover")?;
-    let config = TouchdownConfig { force, farthest: hover + MAX_DEPTH, ..TouchdownConfig::default() };
+    let config =
+        TouchdownConfig { force, farthest: hover + 2.0 * rise + MAX_DEPTH, ..TouchdownConfig::default() };
     let mut touchdown = Touchdown::new(config).map_err(failed)?;
     let mut z = wiper.arm.tcp(&senses.newest()).translation.z;
     loop {
         let (sample, dt) = senses.next().await?;
-        let rate = touchdown.step(dt, wiper.arm.force(&sample)?.z).map_err(failed)?;
+        let rate = touchdown.step(dt, wiper.touch(&sample, dt)?).map_err(failed)?;
         z += rate * dt;
         wiper.step(&sample, dt, 0.0, Height { z, rate })?;
         match touchdown.status() {
@@ -167,7 +171,7 @@ async fn learn(
     let mut omega = 0.0;
     loop {
         let (sample, dt) = senses.next().await?;
-        let pressing = wiper.arm.force(&sample)?.z;
+        let pressing = wiper.pressing(&sample)?;
         contact.check(dt, pressing)?;
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
         let settled = surface.cycles() >= MIN_CYCLES && surface.settled(tolerance);

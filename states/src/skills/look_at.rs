@@ -17,21 +17,24 @@ const SPEED: f64 = 1.0;
 const REST_TIME: f64 = 0.3;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("LookAt", "Turns the head until the eyes look at a point.")
-        .optional(
-            "point",
-            Type::list(Type::FLOAT),
-            Vec::<f64>::new(),
-            "Where to look: x, y, z in the root frame, m; empty: where the arm works.",
-        )
-        .optional(
-            "offset",
-            Type::list(Type::FLOAT),
-            vec![0.0, 0.0, 0.0],
-            "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
-        )
-        .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
-        .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
+    let manifest = SkillManifest::new(
+        "LookAt",
+        "Turns the head until the eyes look at a point; cameras that nothing turns have to have it in view.",
+    )
+    .optional(
+        "point",
+        Type::list(Type::FLOAT),
+        Vec::<f64>::new(),
+        "Where to look: x, y, z in the root frame, m; empty: where the arm works.",
+    )
+    .optional(
+        "offset",
+        Type::list(Type::FLOAT),
+        vec![0.0, 0.0, 0.0],
+        "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
+    )
+    .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
+    .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
     equipment::skill(equipment, moves_the_head(names_the_arm(manifest), equipment), run)
 }
 
@@ -55,6 +58,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let point = point(&equipment, &context)?;
     let (tolerance, timeout) = (context.number("tolerance")?, context.number("timeout")?);
     let mut head = Head::take(&equipment, &context)?;
+    if !head.turns() {
+        return in_view(&equipment, &mut head, &point);
+    }
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut elapsed, mut reached_for) = (0.0, 0.0);
     loop {
@@ -71,4 +77,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             )));
         }
     }
+}
+
+/// Whether cameras that nothing turns have a point in view: inside of the cone that their pictures hold.
+fn in_view(equipment: &Equipment, head: &mut Head, point: &Point3<f64>) -> SkillResult {
+    let sample = equipment.robot.sensed().borrow();
+    let angle = head.look(&sample, 0.0, point, 0.0)?;
+    let camera = equipment.images.calibration().camera;
+    let cone = (0.5 * f64::from(camera.width.min(camera.height)) / camera.focal).atan();
+    if angle < cone {
+        return Ok(Outcome::success());
+    }
+    Err(Failure::new(format!(
+        "nothing turns the cameras, and the point is {angle:.2} rad off their axis; they see {cone:.2} rad to each side"
+    )))
 }

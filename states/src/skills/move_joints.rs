@@ -1,4 +1,5 @@
-//! `MoveJoints`: position control of the arm and what helps it to a named posture or to joint angles.
+//! `MoveJoints`: position control of the arm and what helps it to a named posture or to joint angles, around what is known to
+//! be in the way.
 
 use std::sync::Arc;
 
@@ -7,15 +8,13 @@ use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, S
 use armarium_values::{Type, Unit};
 
 use crate::arm::{ArmLeases, Senses, chosen, moves_the_arm};
+use crate::around::{Around, follow};
 use crate::equipment::{self, Equipment};
-
-/// The share of each joint's speed limit that is used.
-const SPEED_SHARE: f64 = 0.8;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "MoveJoints",
-        "Moves the arm and what helps it together to a posture, each joint in a straight line.",
+        "Moves the arm and what helps it together to a posture, each joint in a straight line, or around what is known to be in the way.",
     )
     .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
     .names(NameKind::Posture)
@@ -37,35 +36,15 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let leases = ArmLeases::take(&equipment, &context, arm)?;
     let goal = goal(&equipment, &context, arm)?;
     let model = equipment.robot.model();
-    let joints = &leases.joints;
-    let speed = |joint: usize| model.joints()[joint].velocity * SPEED_SHARE;
-    let acceleration = |joint: usize| model.joints()[joint].acceleration * 0.3;
-
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut elapsed = 0.0;
-    loop {
-        let (sample, dt) = senses.next().await?;
-        elapsed += dt;
-        // All joints arrive together: the slowest one determines the speed, including braking.
-        let error = |joint: usize| goal[joint] - sample.position[joint];
-        let moved = || joints.iter().copied();
-        let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
-        if worst < tolerance {
-            return Ok(Outcome::success());
-        }
-        if elapsed > timeout {
-            return Err(Failure::new(format!(
-                "the posture was not reached within {timeout:.0} s: a joint is still {worst:.3} rad away"
-            )));
-        }
-        let time_left = moved().map(|j| error(j).abs() / speed(j)).fold(0.0, f64::max);
-        let braking = moved()
-            .map(|j| error(j).abs() / (2.0 * acceleration(j) * error(j).abs()).sqrt().max(1e-6))
-            .fold(0.0, f64::max);
-        let time_left = time_left.max(braking).max(0.08);
-        let velocity: Vec<f64> = moved().map(|j| error(j) / time_left).collect();
-        leases.command(&velocity)?;
-    }
+    let now = senses.newest().position.clone();
+    let around = Around::of(&equipment, arm, &leases.joints, &now, None).await?;
+    let path = around.way_to_joints(now, goal).await?;
+    follow(&mut senses, model, &leases.joints, &path, (tolerance, timeout), |velocities| {
+        leases.command(velocities)
+    })
+    .await?;
+    Ok(Outcome::success())
 }
 
 /// The goal position of every joint of the robot; joints that are not named keep their position.

@@ -1,4 +1,4 @@
-//! `MoveTcp`: position control of the arm's TCP along a straight line.
+//! `MoveTcp`: position control of the arm's TCP along a straight line, or around what is known to be in its way.
 
 use std::sync::Arc;
 
@@ -8,13 +8,17 @@ use armarium_values::{Type, Unit};
 use nalgebra::Isometry3;
 
 use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::around::{Around, follow};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 
+/// How near each joint comes to the end of a way around before the TCP goes straight to its target, rad.
+const NEAR_THE_GOAL: f64 = 0.02;
+
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest =
-        SkillManifest::new("MoveTcp", "Moves the arm's TCP to a pose on a straight line, turning evenly.")
+        SkillManifest::new("MoveTcp", "Moves the arm's TCP to a pose on a straight line, turning evenly, or around what is known to be in the way.")
             .input("target", Type::Pose, "Pose of the TCP in the root frame.")
             .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.");
     let manifest = tolerances(manifest, 0.005, 0.05)
@@ -44,6 +48,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let speed = context.number("speed")?;
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
+    let (model, now) = (equipment.robot.model(), senses.newest().position.clone());
+    let around = Around::of(&equipment, arm.limb(), arm.joints(), &now, Some(&target)).await?;
+    if let Some(path) = around.way_to_pose(now, target, speed).await? {
+        follow(&mut senses, model, arm.joints(), &path, (NEAR_THE_GOAL, reached.timeout), |velocities| {
+            arm.command(velocities)
+        })
+        .await?;
+    }
     move_to(&mut arm, &mut senses, target, speed, &reached).await
 }
 

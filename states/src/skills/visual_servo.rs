@@ -14,7 +14,7 @@ use armarium_visionx::{
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::arm::{Arm, Senses, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp, marker};
@@ -86,8 +86,9 @@ async fn servo(
                 as f64
                 * 1e-9;
             last_frame_ns = Some(frame.stamp_ns);
-            let tcp = arm.tcp(&sample);
-            let marker = equipment.robot.model().link_pose(&sample.position, marker_link);
+            let [tcp, marker] =
+                [tcp_of(arm.limb())?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
+            let (tcp, marker) = (tcp?, marker?);
             let observation = sight.observe(&frame, &tcp, &marker, above);
             let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;
             match command.status {

@@ -1,0 +1,79 @@
+//! The charts that ship run with every robot that ships: each grasps; the one whose cameras stand in the room also wipes with a
+//! motion that is recalled.
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use armarium_host::simulated::memory_of_run;
+use armarium_memoryx::{Commit, EntityId};
+use armarium_motion::{Motion, PeriodicDmp, PeriodicDmpConfig, PhaseSample};
+use armarium_robot::description::shipped_robots;
+use armarium_simulator::World;
+use armarium_values::Value;
+
+/// Runs a chart that ships in an empty folder. Returns its report.
+fn run(folder: &Path, chart: &str, args: &[&str]) -> serde_json::Value {
+    let chart = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../statecharts").join(chart);
+    let mut program = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    let output = program.current_dir(folder).arg("run").arg(chart).args(args).output().expect("it starts");
+    let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{args:?}: {said}");
+    let text = std::fs::read_to_string(folder.join("report/report.json")).expect("there is a report");
+    serde_json::from_str(&text).expect("it is JSON")
+}
+
+fn figure(report: &serde_json::Value, of: &str, name: &str) -> f64 {
+    report[of][name].as_f64().unwrap_or_else(|| panic!("no {of}.{name} in {report}"))
+}
+
+#[test]
+fn every_robot_grasps() {
+    for robot in shipped_robots() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let report = run(folder.path(), "grasp_object.yaml", &["--robot", robot, "--set", "object=sponge"]);
+        let error = figure(&report, "grasp", "position_error_m");
+        assert!(error < 0.01, "{robot}: {error}");
+    }
+}
+
+/// Keeps a flat ellipse over the table of the default world in a store, as a run would that has learned it.
+fn keep_ellipse(store: &Path) {
+    let world = World::default();
+    let samples: Vec<PhaseSample> = (0..200)
+        .map(|k| {
+            let phase = TAU * f64::from(k) / 200.0;
+            let (sin, cos) = phase.sin_cos();
+            PhaseSample {
+                phase,
+                y: vec![0.28 + 0.05 * cos, 0.53 + 0.03 * sin, 1.05],
+                dy: vec![-0.05 * sin, 0.03 * cos, 0.0],
+                ddy: vec![-0.05 * cos, -0.03 * sin, 0.0],
+            }
+        })
+        .collect();
+    let config = PeriodicDmpConfig { dofs: 3, ..PeriodicDmpConfig::default() };
+    let mut primitive = PeriodicDmp::new(config).expect("its constants are possible");
+    primitive.learn_batch(&samples).expect("it is learned");
+    let motion = Motion::in_space("ellipse", "root", 0.5, primitive).expect("it is a motion");
+    let json = serde_json::to_value(&motion).expect("it is data");
+    let attributes = BTreeMap::from([("motion".to_owned(), Value::from_json(&json))]);
+    let id = EntityId::new("Motions", &world.robot.name, "ellipse").expect("an address");
+    let memory = memory_of_run(&world, store).expect("a store");
+    memory.memory().commit_now(vec![Commit::new(id, 1, attributes)]).expect("it is kept");
+    memory.flush().expect("it is written");
+}
+
+#[test]
+fn an_arm_with_cameras_in_the_room_wipes_with_a_recalled_motion() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let store = folder.path().join("motions.redb");
+    keep_ellipse(&store);
+    let store = store.to_string_lossy().into_owned();
+    let args = ["--robot", "pillar7", "--set", "motion=ellipse", "--set", "patience=12s", "--store", &store];
+    let report = run(folder.path(), "wiping.yaml", &args);
+    assert!((figure(&report, "force", "mean_n") - 8.0).abs() < 0.5, "{report}");
+    assert!(figure(&report, "force", "rms_error_n") < 0.5, "{report}");
+    assert!(figure(&report, "force", "contact_lost_s") < 0.05, "{report}");
+}

@@ -1,0 +1,266 @@
+//! Ways of an arm around what is known to be there: the robot's own bodies, and the things and places that memory holds.
+//!
+//! Asked before an arm sets out, with the place of every joint: is the straight way free, and if not, is there another one?
+//! What nobody has told memory is not known. A thing that the hand is at, or goes to, is what it works on and in no way.
+
+use std::sync::Arc;
+
+use armarium_memoryx::{Memory, Pattern, Query, Snapshot};
+use armarium_motion::StraightLine;
+use armarium_robot::planning::{KnownBox, PlanError, Planner};
+use armarium_robot::{
+    DifferentialIk, IkConfig, Limb, LinkId, Model, PoseOptions, Twist, pose_error, solve_pose,
+};
+use armarium_runtime::skill::Failure;
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use crate::arm::Senses;
+use crate::equipment::Equipment;
+use crate::inputs::as_pose;
+use crate::motions::failed;
+use crate::prior::{class_name, object_class};
+
+/// A thing that is nearer than this to where the hand grasps is what it works on, m.
+const AT_HAND: f64 = 0.05;
+/// Step of a rehearsed line, s, and the gain of its tracking, 1/s.
+const STEP_S: f64 = 0.02;
+const GAIN: f64 = 12.0;
+/// Most steps of a rehearsed line, and after how many more of them the arm is where it can come.
+const STEPS: usize = 2000;
+const SETTLING: usize = 40;
+/// A rehearsed line has arrived within this, m and rad.
+const ARRIVED: (f64, f64) = (0.01, 0.1);
+
+/// Corners of a path: the positions of all joints, rad (m).
+pub(crate) type Path = Vec<Vec<f64>>;
+
+/// An arm and what helps it, among what memory knows now.
+pub(crate) struct Around {
+    model: Arc<Model>,
+    boxes: Vec<KnownBox>,
+    arm: String,
+    tcp: LinkId,
+    joints: Vec<usize>,
+    equipment: Equipment,
+}
+
+/// What memory knows of where something is.
+struct Known {
+    shape: KnownBox,
+    /// Whether a hand can take it.
+    is_thing: bool,
+}
+
+impl Around {
+    /// What is around `arm`, which moves with `joints`, on its way from the positions `now` of all joints; `target` is where its
+    /// TCP goes, root frame, if that is known.
+    pub(crate) async fn of(
+        equipment: &Equipment,
+        arm: &Limb,
+        joints: &[usize],
+        now: &[f64],
+        target: Option<&Isometry3<f64>>,
+    ) -> Result<Self, Failure> {
+        let model = Arc::clone(equipment.robot.model());
+        let tcp = arm.tcp.ok_or_else(|| Failure::new(format!("`{}` has no TCP", arm.name)))?;
+        let grasp = model.hand_of(arm).map_or_else(Isometry3::identity, |hand| hand.grasp_in_tcp);
+        let here = model.link_pose(now, tcp);
+        let grasps: Vec<Point3<f64>> = [Some(&here), target]
+            .into_iter()
+            .flatten()
+            .map(|root_from_tcp| Point3::from((root_from_tcp * grasp).translation.vector))
+            .collect();
+        let in_the_way = |known: &Known| {
+            !known.is_thing || grasps.iter().all(|grasp| distance(&known.shape, grasp) > AT_HAND)
+        };
+        let known = known(&*equipment.memory).await?.into_iter().filter(in_the_way);
+        let joints = joints.to_vec();
+        let (boxes, arm) = (known.map(|known| known.shape).collect(), arm.name.clone());
+        Ok(Self { boxes, tcp, joints, arm, equipment: equipment.clone(), model })
+    }
+
+    /// A path from `now` to `goal`: only these two where the straight way is free.
+    ///
+    /// # Errors
+    /// When the goal is not free, or no way to it is found.
+    pub(crate) async fn way_to_joints(self, now: Vec<f64>, goal: Vec<f64>) -> Result<Path, Failure> {
+        planned(move || self.plan(&mut self.planner(), &now, &goal)).await
+    }
+
+    /// A path to a pose of the TCP (root frame), if its straight line at `speed` m/s is blocked; `None` if that is free.
+    ///
+    /// # Errors
+    /// When the line is blocked and the pose is out of reach, is not free, or no way to it is found.
+    pub(crate) async fn way_to_pose(
+        self,
+        now: Vec<f64>,
+        target: Isometry3<f64>,
+        speed: f64,
+    ) -> Result<Option<Path>, Failure> {
+        planned(move || self.plan_to_pose(&now, &target, speed)).await
+    }
+
+    fn planner(&self) -> Planner {
+        Planner::new(&self.model, &self.boxes)
+    }
+
+    fn plan(&self, planner: &mut Planner, now: &[f64], goal: &[f64]) -> Result<Path, Failure> {
+        let path = planner.plan(&self.joints, now, goal, self.equipment.seed);
+        path.map_err(|error| Failure::new(error.to_string()))
+    }
+
+    fn plan_to_pose(
+        &self,
+        now: &[f64],
+        target: &Isometry3<f64>,
+        speed: f64,
+    ) -> Result<Option<Path>, Failure> {
+        let mut planner = self.planner();
+        let line = self.rehearse(now, target, speed)?;
+        match planner.check(&line) {
+            Ok(()) => return Ok(None),
+            Err(PlanError::WayBlocked(_) | PlanError::GoalBlocked(_)) => {}
+            Err(other) => return Err(Failure::new(other.to_string())),
+        }
+        let end = line.last().map_or(now, Vec::as_slice);
+        let error = pose_error(&self.model.link_pose(end, self.tcp), target);
+        let arrives = error.linear.norm() < ARRIVED.0 && error.angular.norm() < ARRIVED.1;
+        if arrives && let Ok(path) = self.plan(&mut planner, now, end) {
+            return Ok(Some(path));
+        }
+        let solved = solve_pose(
+            &self.model,
+            self.tcp,
+            &self.joints,
+            target,
+            self.model.ready(&self.arm),
+            &PoseOptions::default(),
+            &mut self.equipment.random(),
+        );
+        let mut goal = solved.map_err(|error| Failure::new(error.to_string()))?;
+        // The other joints stay where they are.
+        let moved: Vec<f64> = self.joints.iter().map(|&j| goal[j]).collect();
+        goal.copy_from_slice(now);
+        self.joints.iter().zip(moved).for_each(|(&j, q)| goal[j] = q);
+        self.plan(&mut planner, now, &goal).map(Some)
+    }
+
+    /// The joints on the straight line of the TCP, as differential kinematics would move them.
+    fn rehearse(&self, now: &[f64], target: &Isometry3<f64>, speed: f64) -> Result<Path, Failure> {
+        let posture: Vec<f64> = self.joints.iter().map(|&j| self.model.ready(&self.arm)[j]).collect();
+        let mut ik = DifferentialIk::new(&self.model, self.tcp, &self.joints, IkConfig::default());
+        let mut q = now.to_vec();
+        let mut line =
+            StraightLine::new(self.model.link_pose(&q, self.tcp), *target, speed).map_err(failed)?;
+        let (mut path, mut rested) = (vec![q.clone()], 0);
+        while path.len() < STEPS && rested < SETTLING {
+            let point = line.step(STEP_S).map_err(failed)?;
+            let error = pose_error(&self.model.link_pose(&q, self.tcp), &point.pose);
+            let twist = Twist {
+                linear: point.linear + GAIN * error.linear,
+                angular: point.angular + GAIN * error.angular,
+            };
+            for (&j, velocity) in self.joints.iter().zip(ik.step(&q, &twist, Some(&posture)).velocities) {
+                q[j] += STEP_S * velocity;
+            }
+            rested += usize::from(line.rested(0.0));
+            path.push(q.clone());
+        }
+        Ok(path)
+    }
+}
+
+/// Plans on a thread of its own, so that the robot's control goes on meanwhile.
+async fn planned<T: Send + 'static>(
+    plan: impl FnOnce() -> Result<T, Failure> + Send + 'static,
+) -> Result<T, Failure> {
+    let planned = tokio::task::spawn_blocking(plan).await;
+    planned.map_err(|error| Failure::new(format!("planning ended early: {error}")))?
+}
+
+/// Moves joints along a path of all joints, from corner to corner, all joints together. `command` takes the velocities of
+/// `joints`, rad/s (m/s).
+///
+/// # Errors
+/// When the last corner is not reached within `timeout` s, or the arm is taken away.
+pub(crate) async fn follow(
+    senses: &mut Senses,
+    model: &Model,
+    joints: &[usize],
+    path: &Path,
+    (tolerance, timeout): (f64, f64),
+    mut command: impl FnMut(&[f64]) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    /// The share of each joint's speed and acceleration limits that is used.
+    const SPEED_SHARE: f64 = 0.8;
+    const ACCELERATION_SHARE: f64 = 0.3;
+    /// A corner counts as passed within this, rad (m): a fraction of the distance that paths keep.
+    const PASSED: f64 = 0.01;
+    let speed = |joint: usize| model.joints()[joint].velocity * SPEED_SHARE;
+    let acceleration = |joint: usize| model.joints()[joint].acceleration * ACCELERATION_SHARE;
+    let mut elapsed = 0.0;
+    let mut corners = path.iter().skip(1).peekable();
+    while let Some(corner) = corners.next() {
+        let tolerance = if corners.peek().is_some() { tolerance.max(PASSED) } else { tolerance };
+        loop {
+            let (sample, dt) = senses.next().await?;
+            elapsed += dt;
+            // All joints arrive together: the slowest one determines the speed, including braking.
+            let error = |joint: usize| corner[joint] - sample.position[joint];
+            let moved = || joints.iter().copied();
+            let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
+            if worst < tolerance {
+                break;
+            }
+            if elapsed > timeout {
+                return Err(Failure::new(format!(
+                    "the posture was not reached within {timeout:.0} s: a joint is still {worst:.3} rad away"
+                )));
+            }
+            let time_left = moved().map(|j| error(j).abs() / speed(j)).fold(0.0, f64::max);
+            let braking = moved()
+                .map(|j| error(j).abs() / (2.0 * acceleration(j) * error(j).abs()).sqrt().max(1e-6))
+                .fold(0.0, f64::max);
+            let time_left = time_left.max(braking).max(0.08);
+            let velocity: Vec<f64> = moved().map(|j| error(j) / time_left).collect();
+            command(&velocity)?;
+        }
+    }
+    Ok(())
+}
+
+/// What memory holds now of places and things, each with its extent. Things in a hand and what has no pose in the root frame are
+/// left out, and so are things whose class nobody knows.
+async fn known(memory: &dyn Memory) -> Result<Vec<Known>, Failure> {
+    let mut all = Vec::new();
+    let segment =
+        async |name: &str| memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed);
+    for place in segment("EnvironmentModels").await? {
+        let size = place.attribute("size").and_then(armarium_values::Value::as_vector3);
+        let Some(size) = size else { continue };
+        all.extend(shape(&place, size).map(|shape| Known { shape, is_thing: false }));
+    }
+    for thing in segment("ObjectInstances").await? {
+        if thing.attribute("attached_to").is_some() {
+            continue;
+        }
+        let Ok(class) = class_name(&thing) else { continue };
+        let Ok(class) = object_class(memory, class).await else { continue };
+        all.extend(shape(&thing, class.size).map(|shape| Known { shape, is_thing: true }));
+    }
+    Ok(all)
+}
+
+fn shape(snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {
+    let root_from_box = snapshot.attribute("pose").and_then(as_pose)?;
+    let size = Vector3::from(size);
+    let is_box = size.iter().all(|edge| edge.is_finite() && *edge > 0.0);
+    let placed = root_from_box.translation.vector.iter().all(|x| x.is_finite());
+    (is_box && placed).then(|| KnownBox { name: snapshot.id.entity().to_owned(), root_from_box, size })
+}
+
+/// The distance of a point from a box, m; 0 inside.
+fn distance(known: &KnownBox, point: &Point3<f64>) -> f64 {
+    let in_box = known.root_from_box.inverse() * point;
+    (in_box.coords.abs() - known.size / 2.0).sup(&Vector3::zeros()).norm()
+}
