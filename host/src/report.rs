@@ -95,6 +95,12 @@ pub(crate) fn write(folder: &Path, case: Case<'_>) -> (Json, Vec<Figure>, io::Re
     let written = std::fs::write(folder.join("report.json"), format!("{figures:#}\n")).and_then(|()| {
         std::fs::write(folder.join("report.html"), report::render(&page(case, sections, memories)))
     });
+    if written.is_err() {
+        // Half a report would be taken for a whole one.
+        for file in ["report.json", "report.html"] {
+            let _ = std::fs::remove_file(folder.join(file));
+        }
+    }
     (figures, judged, written)
 }
 

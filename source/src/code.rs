@@ -53,7 +53,7 @@ codes! {
     FUNCTION = "E021";
     /// An event that nobody raises.
     EVENT = "E022";
-    /// Two regions that can command one limb at the same time.
+    /// Two regions that can command one limb at the same time, as far as literals and defaults say which.
     LIMB = "E023";
     /// A type that does not exist.
     DECLARED_TYPE = "E024";
@@ -65,7 +65,7 @@ codes! {
     EARLY = "E027";
     /// A value that is impossible, or out of its range.
     VALUE = "E028";
-    /// The name of a thing that does not exist: an object, a class.
+    /// The name of a thing that does not exist: an object, a class, a posture, an arm.
     REFERENCE = "E029";
     /// Transitions that are taken again and again without time between them.
     RESTLESS = "E030";

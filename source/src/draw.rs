@@ -314,7 +314,7 @@ mod tests {
             ("a: {from: 1, to: 2, step: 0}\n", "1:4 a range goes from the smaller"),
             (
                 "a: {from: 1, to: tall}\n",
-                "1:17 a number, with its unit if it has one, is needed here, not text",
+                "1:18 a number, with its unit if it has one, is needed here, not text",
             ),
             ("a: {one_of: []}\n", "1:13 `one_of` is a list"),
             ("a:\n  from: 1\n  to: 2\n", "2:3 a range stands between braces"),

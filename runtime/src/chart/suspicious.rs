@@ -244,8 +244,12 @@ impl Search<'_, '_> {
     fn at_once(&self, state: StateId) -> Option<StateId> {
         let [always] = self.program.state(state).always[..] else { return None };
         let transition = &self.program.transitions[always as usize];
-        let ([target], None) = (&transition.targets[..], &transition.guard) else { return None };
-        let mut at = *target;
+        let mut at = match (&transition.targets[..], &transition.guard) {
+            // Without a target it stays, and fires again.
+            ([], None) => return Some(state),
+            ([target], None) => *target,
+            _ => return None,
+        };
         // A composite is entered at its initial state, unless it leaves at once itself.
         while let Kind::Composite { initial } = &self.program.state(at).kind {
             let [inner] = initial.targets[..] else { break };

@@ -28,6 +28,9 @@ pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Exp
     if source.trim().is_empty() {
         return Err(whole(source, Kind::Syntax, "there is no expression here".into()));
     }
+    if let Some(error) = syntax::comment(source) {
+        return Err(error);
+    }
     let parsed = parsed::parse(source).map_err(|e| syntax(source, &e))?;
     let (tree, places) = &*parsed;
     let mut checker =

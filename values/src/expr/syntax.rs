@@ -45,6 +45,13 @@ pub(super) fn explain(source: &str, at: usize) -> ExprError {
         })
 }
 
+/// Refuses `//`: in CEL what follows is a comment, so that `a // b` would be `a` without a word.
+pub(super) fn comment(source: &str) -> Option<ExprError> {
+    let found = source.contains("//").then(|| tokens(source))?;
+    let token = *found.iter().find(|token| token.text == "//")?;
+    Some(explained(token, "there is no operator `//`", "divide with `/`: whole numbers give a whole number"))
+}
+
 fn said((start, end): (usize, usize), message: impl Into<String>, help: impl Into<String>) -> ExprError {
     let (message, help) = (message.into(), Some(help.into()));
     ExprError { kind: Kind::Syntax, message, help, start, end, near: None }
@@ -285,9 +292,9 @@ fn number_length(rest: &str) -> usize {
 
 /// The longest operator, of this language or another.
 fn operator_length(rest: &str) -> usize {
-    const LONG: [&str; 17] = [
-        "===", "!==", "==", "!=", "<=", ">=", "=>", "=<", ":=", "<>", "&&", "||", "**", "+=", "-=", "++",
-        "--",
+    const LONG: [&str; 18] = [
+        "===", "!==", "==", "!=", "<=", ">=", "=>", "=<", ":=", "<>", "&&", "||", "**", "//", "+=", "-=",
+        "++", "--",
     ];
     LONG.iter().find(|operator| rest.starts_with(**operator)).map_or(1, |operator| operator.len())
 }
