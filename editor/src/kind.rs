@@ -65,10 +65,24 @@ impl Kind {
         }
     }
 
-    /// What a text says that it is: by a key at its outermost level. None where it says nothing.
+    /// What a file is: by a key at its outermost level, or else by its name (`x.world.yaml`, `x.test.yaml`) or by what
+    /// charts of other languages begin with. None where nothing says it.
     #[must_use]
-    pub fn of(text: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|(_, key)| outermost(text, key).is_some()).map(|(kind, _)| kind)
+    pub fn of(path: &Path, text: &str) -> Option<Self> {
+        let has = |key: &str| outermost(text, key).is_some();
+        let said = Self::ALL.into_iter().find(|(_, key)| has(key)).map(|(kind, _)| kind);
+        let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let named = || match name.rsplit_once('.')?.0 {
+            stem if stem.ends_with(".world") => Some(Self::World),
+            stem if stem.ends_with(".test") => Some(Self::Test),
+            _ => None,
+        };
+        let begun = || {
+            let first =
+                text.trim_start().get(..10).is_some_and(|word| word.eq_ignore_ascii_case("statechart"));
+            (first || has("states") && has("initial")).then_some(Self::Chart)
+        };
+        said.or_else(named).or_else(begun)
     }
 
     /// The JSON Schema of its files.
@@ -92,7 +106,7 @@ pub fn check(path: &Path, folders: &[PathBuf], files: &dyn Files, catalog: &Cata
     match files.read(path) {
         Err(finding) => Checked { findings: vec![*finding], library: None },
         Ok(source) => {
-            let kind = Kind::of(&source.text).unwrap_or(Kind::Chart);
+            let kind = Kind::of(path, &source.text).unwrap_or(Kind::Chart);
             check_as(kind, source, folders, files, catalog)
         }
     }

@@ -126,7 +126,7 @@ impl Workspace {
         let before = self.documents.remove(&path);
         let source = Arc::new(Source::new(&path, text));
         let (kind, readable) = before.map_or((None, None), |before| (before.kind, before.readable));
-        let kind = Kind::of(&source.text).or(kind);
+        let kind = Kind::of(&path, &source.text).or(kind);
         let lines = Lines::of(&source.text);
         let document = Document { uri, version, source, lines, kind, analysis: None, readable };
         self.documents.insert(path.clone(), document);
@@ -140,7 +140,7 @@ impl Workspace {
         let text = changed(&document.source.text, changes);
         document.version = version;
         document.lines = Lines::of(&text);
-        document.kind = Kind::of(&text).or(document.kind);
+        document.kind = Kind::of(&path, &text).or(document.kind);
         document.source = Arc::new(Source::new(&path, text));
         document.analysis = None;
         self.touched(&path);
@@ -282,7 +282,7 @@ impl Workspace {
                 return Some(Rc::clone(analysis));
             }
             let source = overlay.read(&path).ok()?;
-            let kind = Kind::of(&source.text)?;
+            let kind = Kind::of(&path, &source.text)?;
             Some(Rc::new(self.analyse(kind, &source)))
         };
         files.into_iter().filter_map(one).collect()

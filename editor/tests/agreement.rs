@@ -42,7 +42,7 @@ fn compared(workspace: &mut Workspace, file: &Path) {
     let address = uri(file);
     let text = workspace.text(&address).expect("it is open").to_owned();
     let found = workspace.findings(&address);
-    if Kind::of(&text).is_none() {
+    if Kind::of(file, &text).is_none() {
         return;
     }
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -398,6 +398,21 @@ fn a_broken_text_is_served_by_the_last_that_was_whole() {
 }
 
 #[test]
+fn files_that_do_not_say_what_they_are_are_told_by_their_name_or_their_beginning() {
+    for (name, text, code) in [
+        ("a.world.yaml", "world W\n", "E002"),
+        ("b.test.yaml", "cases: []\n", "E005"),
+        ("c.yaml", "statechart C8\ninitial: A\n", "E002"),
+        ("d.yaml", "id: door\ninitial: A\nstates: {A: {}}\n", "E005"),
+    ] {
+        let mut project = project();
+        let (uri, _) = project.open(name, text);
+        let codes: Vec<&str> = project.workspace.findings(&uri).iter().map(|finding| finding.code).collect();
+        assert!(codes.contains(&code), "{name}: {codes:?}");
+    }
+}
+
+#[test]
 fn other_files_and_lost_files_are_no_errors() {
     let mut project = project();
     let (uri, position) = project.open("compose.yaml", "services:\n  web: {image: x}\n|");

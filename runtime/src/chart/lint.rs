@@ -160,7 +160,8 @@ impl Lint<'_, '_> {
                     }
                 };
                 self.add(Severity::Error, code::EVENT, id, event.span, message, Some(help));
-                self.remedy(Some(remedy));
+                // A pattern names no event that could be declared.
+                self.remedy((!text.contains('*')).then_some(remedy));
             }
         }
         misspelt

@@ -7,7 +7,7 @@ use armarium_values::Value;
 use super::event::{Event, Origin};
 use super::state::{SkillRun, StateStatus, Step, Timer, TimerUse, Turn};
 use super::{Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
-use crate::program::{AFTER, RETRY, StateId};
+use crate::program::{AFTER, Kind, RETRY, StateId};
 use crate::skill::SkillResult;
 
 impl Engine {
@@ -58,7 +58,11 @@ impl Engine {
             TimerUse::Send { event, to, .. } => self.post(event, to, turn),
             TimerUse::After { state, entry, transition } => {
                 let path = turn.program.path(state);
-                let reason = format!("`{path}` had not ended when its time was up");
+                let waits = matches!(turn.program.state(state).kind, Kind::Atomic);
+                let reason = match waits {
+                    true => format!("the time of `{path}` was up"),
+                    false => format!("`{path}` had not ended when its time was up"),
+                };
                 let data = Value::record([("reason", reason.into())]);
                 self.queue(Event::new(AFTER, data, Origin::After { state, entry, transition }), turn);
             }

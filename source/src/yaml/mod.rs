@@ -50,13 +50,23 @@ pub fn parse(findings: &mut Findings) -> Option<Node> {
     None
 }
 
-/// Two spaces for each tab before the text of a line.
+/// Spaces for the tabs before the text of a line: as many as the lines around it have.
 fn spaces_for_tabs(at: Span, text: &str) -> Option<Remedy> {
     let start = text.get(..at.start)?.rfind('\n').map_or(0, |newline| newline + 1);
-    let indent = text[start..].find(|c| c != ' ' && c != '\t').unwrap_or(0);
-    let span = Span { start, end: start + indent };
-    let before = &text[span.start..span.end];
-    before.contains('\t').then(|| Remedy::replace(span, before.replace('\t', "  ")))
+    let indent = |line: &str| line.find(|c| c != ' ' && c != '\t').unwrap_or(0);
+    let span = Span { start, end: start + indent(&text[start..]) };
+    if !text[span.start..span.end].contains('\t') {
+        return None;
+    }
+    let written = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with('#');
+    let before = text[..start].lines().rev().find(written).unwrap_or("");
+    let after = text[start..].lines().skip(1).find(written).unwrap_or("");
+    let spaces = match before.trim_end().ends_with(':') {
+        true if !after[..indent(after)].contains('\t') && indent(after) > indent(before) => indent(after),
+        true => indent(before) + 2,
+        false => indent(before),
+    };
+    Some(Remedy::replace(span, " ".repeat(spaces)))
 }
 
 /// Quotes for the values of a line that are expressions without them.
