@@ -25,7 +25,7 @@ fn run(folder: &Path, chart: &str, args: &[&str]) -> serde_json::Value {
 }
 
 fn figure(report: &serde_json::Value, of: &str, name: &str) -> f64 {
-    report[of][name].as_f64().unwrap_or_else(|| panic!("no {of}.{name} in {report}"))
+    report[of][name].as_f64().expect("the report has the figure")
 }
 
 #[test]

@@ -400,7 +400,7 @@ fn a_broken_text_is_served_by_the_last_that_was_whole() {
 #[test]
 fn files_that_do_not_say_what_they_are_are_told_by_their_name_or_their_beginning() {
     for (name, text, code) in [
-        ("a.world.yaml", "world W\n", "E002"),
+        ("a.world.yaml", "world W\n", "E004"),
         ("b.test.yaml", "cases: []\n", "E005"),
         ("c.yaml", "statechart C8\ninitial: A\n", "E002"),
         ("d.yaml", "id: door\ninitial: A\nstates: {A: {}}\n", "E005"),
