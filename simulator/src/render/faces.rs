@@ -153,6 +153,19 @@ impl<const N: usize> Face<N> {
         }
     }
 
+    /// Draws the part of the face within a narrow rectangle, in one colour.
+    fn draw_dots(&self, canvas: &mut Canvas, bounds: Bounds, color: [u8; 3]) {
+        let edges = self.edges();
+        for row in canvas.rows(bounds) {
+            let (edges, near) = (edges.each_ref().map(|edge| row.form(edge)), self.nearness(&row));
+            for u in bounds.each_column() {
+                if edges.iter().all(|edge| edge.at(u) >= 0.0) {
+                    canvas.dot(row.v, u, near.at(u) as f32, color);
+                }
+            }
+        }
+    }
+
     /// Draws the part of the face within a rectangle.
     fn draw_within<P: Fn(f32, &Lanes) -> Colors>(
         &self,
@@ -210,7 +223,11 @@ pub(super) fn mesh(
         let Some(bounds) = bounds else { continue };
         if let Some(face) = Face::of_triangle(triangle.map(|index| vertices[index as usize])) {
             let color = shades.at(face.brightness(light));
-            face.draw_within(canvas, bounds, |_, _| move |_, _: &Lanes| lanes(|_| color));
+            if bounds.is_narrow() {
+                face.draw_dots(canvas, bounds, color);
+            } else {
+                face.draw_within(canvas, bounds, |_, _| move |_, _: &Lanes| lanes(|_| color));
+            }
         }
     }
 }

@@ -78,6 +78,12 @@ pub(super) struct Bounds {
 type Extent = [f64; 2];
 
 impl Form {
+    /// The value at a column.
+    #[inline(always)]
+    pub(super) fn at(self, u: usize) -> f64 {
+        self.slope * u as f64 + self.at_zero
+    }
+
     /// The same form counted from column `u`.
     pub(super) fn line(self, u: usize) -> Line {
         Line { start: (self.slope * u as f64 + self.at_zero) as f32, slope: self.slope as f32 }
@@ -153,6 +159,16 @@ impl Bounds {
     pub(super) fn union(self, other: Self) -> Self {
         let join = |a: [usize; 2], b: [usize; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self { u: join(self.u, other.u), v: join(self.v, other.v) }
+    }
+
+    /// Whether it has few columns: then its pixels are drawn one by one.
+    pub(super) fn is_narrow(self) -> bool {
+        self.u[1] - self.u[0] < CHUNK / 2
+    }
+
+    /// Its columns, one by one.
+    pub(super) fn each_column(self) -> std::ops::RangeInclusive<usize> {
+        self.u[0]..=self.u[1]
     }
 
     /// Its columns.
@@ -279,6 +295,16 @@ impl Canvas {
                 *color = paint(extra[i]);
             }
         });
+    }
+
+    /// Draws one pixel, where it is nearer than what was drawn before.
+    #[inline(always)]
+    pub(super) fn dot(&mut self, v: usize, u: usize, near: f32, color: [u8; 3]) {
+        let at = v * self.width + u;
+        if near > self.nearness[at] && near < NEARNESS_LIMIT {
+            self.nearness[at] = near;
+            self.color[at] = color;
+        }
     }
 
     /// As [`Canvas::fill`]; `paint(k, nearness)` returns the colours of the chunk that begins `k` pixels after the first, also
