@@ -217,6 +217,12 @@ fn a_sweep_runs_each_seed_and_value_once_and_says_how_many_held() {
     assert_eq!(status(&other), 2);
     assert!(said(&other).contains("holds another sweep"), "{}", said(&other));
 
+    let bounded = ["sweep", "wait.yaml", "--seeds", "1", "--for", "500ms", "--out", "short", "--json"];
+    let output = armarium(folder.path(), &bounded);
+    let last = said(&output).lines().last().map(str::to_owned).expect("a line with the rates");
+    let last: Value = serde_json::from_str(&last).expect("it is JSON");
+    assert_eq!((status(&output), &last["rate"]["held"], &last["rate"]["runs"]), (1, &0.into(), &1.into()));
+
     let drawn = armarium(folder.path(), &["world", "random", "wait.world.yaml", "--seed", "3"]);
     assert_eq!(status(&drawn), 0);
     let mass = said(&drawn)

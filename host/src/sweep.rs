@@ -4,9 +4,10 @@
 //! It knows no figure by its name: a run says what it measured and what is asked of it.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead as _, BufReader, Write as _};
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use armarium_values::report::{Block, Cell, Column, Figure, Section, Table};
 use armarium_viewer::report::{self, ReportData};
@@ -100,8 +101,17 @@ impl Rate {
     }
 }
 
-/// Runs what is missing in `folder`, `jobs` at a time, with the program `armarium`. `ended` is called after each run. Returns all
-/// runs, in the order of inputs and seeds; fewer when the user has stopped one.
+/// A sweep while it runs.
+struct Progress {
+    waiting: std::vec::IntoIter<Choice>,
+    runs: Vec<Run>,
+    log: File,
+    /// Why runs cannot be written down any more.
+    failed: Option<std::io::Error>,
+}
+
+/// Runs what is missing in `folder`, `jobs` at a time, with the program `armarium`. `ended` is called after each run with it, how
+/// many have ended, and how many there are. Returns all runs, in the order of inputs and seeds.
 ///
 /// # Errors
 /// [`HostError::File`] when the folder cannot be used, [`HostError::OtherSweep`] when it holds another sweep.
@@ -112,60 +122,57 @@ pub fn sweep(
 ) -> Result<Vec<Run>, HostError> {
     std::fs::create_dir_all(folder).map_err(|source| file_error(folder, source))?;
     let known = runs_of(folder, config)?;
-    let cells: Vec<(u64, BTreeMap<String, String>)> = cells(config);
+    let choices = choices(config);
     let path = folder.join(RUNS);
-    let log = std::fs::OpenOptions::new().append(true).open(&path).map_err(|e| file_error(&path, e))?;
-    let find = |runs: &[Run], (seed, inputs): &(u64, BTreeMap<String, String>)| {
+    let log = OpenOptions::new().append(true).open(&path).map_err(|e| file_error(&path, e))?;
+    let find = |runs: &[Run], (seed, inputs): &Choice| {
         runs.iter().find(|run| run.seed == *seed && run.inputs == *inputs).cloned()
     };
-    let waiting: Vec<_> = cells.iter().filter(|cell| find(&known, cell).is_none()).cloned().collect();
-    let done = known.len();
-    let state = Mutex::new((waiting.into_iter(), known, log, None));
+    let waiting: Vec<_> = choices.iter().filter(|choice| find(&known, choice).is_none()).cloned().collect();
+    let progress = Mutex::new(Progress { waiting: waiting.into_iter(), runs: known, log, failed: None });
+    let next = || {
+        let mut progress = progress.lock();
+        if progress.failed.is_some() { None } else { progress.waiting.next() }
+    };
+    let work = || {
+        while let Some(choice) = next() {
+            let run = one(config, (program, folder), choice);
+            let count = {
+                let mut progress = progress.lock();
+                let line = serde_json::to_string(&run).unwrap_or_default() + "\n";
+                let written = progress.log.write_all(line.as_bytes()).and_then(|()| progress.log.sync_data());
+                if let Err(error) = written {
+                    progress.failed = Some(error);
+                    return;
+                }
+                progress.runs.push(run.clone());
+                progress.runs.len()
+            };
+            ended(&run, count, choices.len());
+        }
+    };
     std::thread::scope(|scope| {
         for _ in 0..jobs.max(1) {
-            scope.spawn(|| {
-                loop {
-                    let next = {
-                        let mut state = state.lock();
-                        if state.3.is_some() { None } else { state.0.next() }
-                    };
-                    let Some((seed, inputs)) = next else { return };
-                    let run = one(config, (program, folder), seed, inputs);
-                    let mut state = state.lock();
-                    if run.outcome == "stopped" {
-                        // The user ended it: it is run again when the sweep goes on.
-                        state.3 = Some(Ok(()));
-                        return;
-                    }
-                    let line = serde_json::to_string(&run).unwrap_or_default() + "\n";
-                    if let Err(error) = state.2.write_all(line.as_bytes()).and_then(|()| state.2.sync_data())
-                    {
-                        state.3 = Some(Err(error));
-                        return;
-                    }
-                    state.1.push(run.clone());
-                    let count = state.1.len();
-                    drop(state);
-                    ended(&run, count, cells.len());
-                }
-            });
+            scope.spawn(&work);
         }
     });
-    let (_, runs, _, stopped) = state.into_inner();
-    if let Some(Err(error)) = stopped {
-        return Err(file_error(&path, error));
+    let Progress { runs, failed, .. } = progress.into_inner();
+    match failed {
+        Some(error) => Err(file_error(&path, error)),
+        None => Ok(choices.iter().filter_map(|choice| find(&runs, choice)).collect()),
     }
-    debug_assert!(runs.len() >= done);
-    Ok(cells.iter().filter_map(|cell| find(&runs, cell)).collect())
 }
 
 fn file_error(path: &Path, source: std::io::Error) -> HostError {
     HostError::File { what: "the sweep cannot use", path: path.to_owned(), source }
 }
 
+/// A seed with a value for each input that varies.
+type Choice = (u64, BTreeMap<String, String>);
+
 /// Each choice of inputs with each seed.
-fn cells(config: &SweepConfig) -> Vec<(u64, BTreeMap<String, String>)> {
-    let mut choices = vec![BTreeMap::new()];
+fn choices(config: &SweepConfig) -> Vec<Choice> {
+    let mut all = vec![BTreeMap::new()];
     for (name, values) in &config.inputs {
         let with = |choice: &BTreeMap<String, String>| {
             let (name, choice) = (name.clone(), choice.clone());
@@ -175,12 +182,9 @@ fn cells(config: &SweepConfig) -> Vec<(u64, BTreeMap<String, String>)> {
                 choice
             })
         };
-        choices = choices.iter().flat_map(with).collect();
+        all = all.iter().flat_map(with).collect();
     }
-    choices
-        .into_iter()
-        .flat_map(|choice| config.seeds.iter().map(move |seed| (*seed, choice.clone())))
-        .collect()
+    all.into_iter().flat_map(|choice| config.seeds.iter().map(move |seed| (*seed, choice.clone()))).collect()
 }
 
 /// The runs that a folder holds; begins its file where there is none. A last line that was cut by a crash does not count.
@@ -190,7 +194,7 @@ fn runs_of(folder: &Path, config: &SweepConfig) -> Result<Vec<Run>, HostError> {
     let shared = serde_json::json!({"chart": config.chart, "arguments": config.arguments});
     let text = match std::fs::read_to_string(&path) {
         Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+        Err(error) if error.kind() == ErrorKind::NotFound => {
             std::fs::write(&path, format!("{shared}\n")).map_err(|e| file_error(&path, e))?;
             return Ok(Vec::new());
         }
@@ -209,84 +213,70 @@ fn runs_of(folder: &Path, config: &SweepConfig) -> Result<Vec<Run>, HostError> {
 }
 
 /// One run, in a process of its own.
-fn one(
-    config: &SweepConfig,
-    (program, folder): (&Path, &Path),
-    seed: u64,
-    inputs: BTreeMap<String, String>,
-) -> Run {
-    let word = |text: &str| {
-        text.chars()
-            .map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' })
-            .collect::<String>()
-    };
-    let choice: String =
-        inputs.iter().map(|(name, value)| format!("{}-{}-", word(name), word(value))).collect();
-    let inside = PathBuf::from(format!("{choice}seed-{seed}"));
+fn one(config: &SweepConfig, (program, folder): (&Path, &Path), (seed, inputs): Choice) -> Run {
+    let inside = folder_of(seed, &inputs);
+    let report = folder.join(&inside);
+    // Runs at the same time do not share what they learn, and one that is run again begins anew.
+    let store = report.join("motions.redb");
     let mut command = Command::new(program);
-    command.arg("run").arg(&config.chart).args(&config.arguments);
-    command
-        .arg("--seed")
-        .arg(seed.to_string())
-        .arg("--report")
-        .arg(folder.join(&inside))
-        .args(["--force", "--json"]);
-    // Runs at the same time do not share what they learn.
-    command.arg("--store").arg(folder.join(&inside).join("motions.redb"));
+    command.arg("run").arg(&config.chart).args(&config.arguments).args(["--force", "--json", "--seed"]);
+    command.arg(seed.to_string()).arg("--report").arg(&report).arg("--store").arg(&store);
     command.args(inputs.iter().flat_map(|(name, value)| ["--set".to_owned(), format!("{name}={value}")]));
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let failed = |reason: String| Run {
-        seed,
-        inputs: inputs.clone(),
-        outcome: "error".into(),
-        reason: Some(reason),
-        figures: Vec::new(),
-        folder: inside.clone(),
+    let begun = std::fs::create_dir_all(&report).and_then(|()| match std::fs::remove_file(&store) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn(),
+    });
+    let Ended { outcome, reason, figures } = match begun {
+        Ok(child) => wait_for(child),
+        Err(error) => Ended::error(format!("`{}` cannot be started: {error}", program.display())),
     };
-    // The store needs its folder; a store of an earlier attempt is not continued.
-    let store = std::fs::create_dir_all(folder.join(&inside));
-    if let Err(error) = store {
-        return failed(error.to_string());
+    Run { seed, inputs, outcome, reason, figures, folder: inside }
+}
+
+/// The name of the folder of a run's report.
+fn folder_of(seed: u64, inputs: &BTreeMap<String, String>) -> PathBuf {
+    let word = |text: &str| -> String {
+        text.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+    };
+    let chosen: String =
+        inputs.iter().map(|(name, value)| format!("{}-{}-", word(name), word(value))).collect();
+    PathBuf::from(format!("{chosen}seed-{seed}"))
+}
+
+/// The last line that `armarium run --json` prints.
+#[derive(Deserialize)]
+struct Ended {
+    outcome: String,
+    reason: Option<String>,
+    figures: Vec<Figure>,
+}
+
+impl Ended {
+    fn error(reason: String) -> Self {
+        Self { outcome: "error".into(), reason: Some(reason), figures: Vec::new() }
     }
-    let _ = std::fs::remove_file(folder.join(&inside).join("motions.redb"));
-    let mut child = match command.spawn() {
-        Ok(child) => child,
-        Err(error) => return failed(format!("`{}` cannot be started: {error}", program.display())),
-    };
-    let said = child.stderr.take();
-    let reading = std::thread::scope(|scope| {
+}
+
+/// Waits for the end of a run.
+fn wait_for(mut child: Child) -> Ended {
+    let (out, errors) = (child.stdout.take(), child.stderr.take());
+    let (last, errors) = std::thread::scope(|scope| {
         let errors = scope.spawn(move || {
-            // Enough for the reason; the rest is read so that the child can go on.
+            // The first lines say why; the others are read so that the child can go on.
             let mut lines =
-                said.into_iter().flat_map(|said| BufReader::new(said).lines().map_while(Result::ok));
+                errors.into_iter().flat_map(|said| BufReader::new(said).lines().map_while(Result::ok));
             let first: Vec<String> = lines.by_ref().take(20).collect();
             lines.for_each(drop);
-            first
+            first.join(" ")
         });
-        let mut last = String::new();
-        if let Some(out) = child.stdout.take() {
-            for line in BufReader::new(out).lines().map_while(Result::ok) {
-                last = line;
-            }
-        }
-        (last, errors.join().unwrap_or_default())
+        let lines = out.into_iter().flat_map(|out| BufReader::new(out).lines().map_while(Result::ok));
+        (lines.last().unwrap_or_default(), errors.join().unwrap_or_default())
     });
     let status = child.wait();
-    #[derive(Deserialize)]
-    struct Ended {
-        outcome: String,
-        reason: Option<String>,
-        figures: Vec<Figure>,
-    }
-    match serde_json::from_str::<Ended>(&reading.0) {
-        Ok(Ended { outcome, reason, figures }) => {
-            Run { seed, inputs, outcome, reason, figures, folder: inside }
-        }
-        Err(_) => {
-            let status = status.map_or_else(|error| error.to_string(), |status| status.to_string());
-            failed(format!("{status}: {}", reading.1.join(" ")))
-        }
-    }
+    serde_json::from_str(&last).unwrap_or_else(|_| {
+        let status = status.map_or_else(|error| error.to_string(), |status| status.to_string());
+        Ended::error(format!("{status}: {errors}"))
+    })
 }
 
 /// The runs by their inputs.
@@ -449,8 +439,8 @@ mod tests {
 
     #[test]
     fn every_choice_of_inputs_meets_every_seed() {
-        let cells = cells(&config());
-        let shown: Vec<String> = cells.iter().map(|(seed, inputs)| format!("{seed}{inputs:?}")).collect();
+        let choices = choices(&config());
+        let shown: Vec<String> = choices.iter().map(|(seed, inputs)| format!("{seed}{inputs:?}")).collect();
         assert_eq!(
             shown,
             [

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
 
-use armarium_values::parse_quantity;
+use armarium_values::{Unit, split_quantity};
 
 use crate::finding::{Finding, Findings};
 use crate::form::{Form, read};
@@ -246,10 +246,9 @@ struct Number {
 }
 
 fn quantity(text: &str) -> Option<Number> {
-    parse_quantity(text)?.ok()?;
-    let unit = text.trim().trim_start_matches(|c: char| c.is_ascii_digit() || "+-.".contains(c)).trim();
-    let value = text.trim().strip_suffix(unit)?.trim().parse().ok()?;
-    Some(Number { value, unit: unit.to_owned() })
+    let (value, unit) = split_quantity(text)?;
+    let known = unit.is_empty() || Unit::parse(unit).is_ok();
+    known.then(|| Number { value, unit: unit.to_owned() })
 }
 
 fn is_number(node: &Node) -> bool {
@@ -292,6 +291,7 @@ mod tests {
             assert!(rest == "red\", 5]\n" || rest == "green\", 5]\n", "{text}");
         }
         assert_eq!(seen.into_iter().collect::<Vec<_>>(), ["1", "2", "3", "4"]);
+        assert!(drawn("a: {from: 1e3 kg, to: 1e3 kg}\n", 1).starts_with("a: 1000 kg"));
         assert_eq!(drawn(text, 7), drawn(text, 7));
         assert_ne!(drawn(text, 7), drawn(text, 8));
     }

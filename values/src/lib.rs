@@ -13,5 +13,5 @@ mod value;
 
 pub use geometry::{Frame, Pose, Vector, Wrench};
 pub use types::{ConvertError, Fit, Type};
-pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity};
+pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity, split_quantity};
 pub use value::{Reference, Value};

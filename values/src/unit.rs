@@ -230,14 +230,18 @@ impl fmt::Display for Unit {
 /// # Errors
 /// [`UnknownUnit`] when a number is followed by text that is not a unit.
 pub fn parse_quantity(text: &str) -> Option<Result<(f64, Option<Unit>), UnknownUnit>> {
-    let text = text.trim();
-    let number_end = number_prefix(text)?;
-    let number: f64 = text[..number_end].parse().ok()?;
-    let symbol = text[number_end..].trim();
+    let (number, symbol) = split_quantity(text)?;
     if symbol.is_empty() {
         return Some(Ok((number, None)));
     }
     Some(Unit::parse(symbol).map(|(unit, factor)| (number * factor, Some(unit))))
+}
+
+/// The number that a text begins with and the unit's symbol after it, as they are written; the symbol may be empty.
+pub fn split_quantity(text: &str) -> Option<(f64, &str)> {
+    let text = text.trim();
+    let (number, symbol) = text.split_at(number_prefix(text)?);
+    Some((number.parse().ok()?, symbol.trim()))
 }
 
 /// The length of the longest prefix that is a decimal number.
