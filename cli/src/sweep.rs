@@ -4,9 +4,10 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use armarium_host::sweep::{Rate, Run, SweepConfig, groups, rate, sweep, write_page};
+use armarium_simulator::World;
 use serde_json::json;
 
-use crate::console::refuse;
+use crate::console::{refuse, show};
 use crate::run::parse_input;
 
 /// Arguments of `sweep`.
@@ -104,6 +105,11 @@ impl SweepArgs {
 pub(crate) fn run(args: &SweepArgs, out: &mut dyn Write) -> io::Result<u8> {
     if !args.chart.is_file() {
         return writeln!(out, "error: there is no chart `{}`", args.chart.display()).map(|()| 2);
+    }
+    // A wrong world would fail every run in the same way.
+    let seed = args.seeds.0.first().copied().unwrap_or(1);
+    if let Some(Err(findings)) = args.world.as_deref().map(|world| World::load(world, seed)) {
+        return show(&findings, out).map(|()| 2);
     }
     let config = args.config();
     let ended = |run: &Run, count: usize, all: usize| {

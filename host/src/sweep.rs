@@ -153,7 +153,7 @@ pub fn sweep(
     };
     std::thread::scope(|scope| {
         for _ in 0..jobs.max(1) {
-            scope.spawn(&work);
+            scope.spawn(work);
         }
     });
     let Progress { runs, failed, .. } = progress.into_inner();
