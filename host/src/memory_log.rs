@@ -70,7 +70,7 @@ pub(crate) fn section(
     truth: &TruthLog,
 ) -> Option<(Json, Section)> {
     let object = object.or_else(|| world.first_object())?;
-    let subject = world.objects.get(object)?.name.clone();
+    let subject = world.body_name(object)?.to_owned();
     let truth = &Truth { log: truth, object };
     let frames = Frames::of(world);
     let known: Vec<Knowledge> =

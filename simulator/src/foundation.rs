@@ -8,7 +8,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::table::{DirtGrid, TableTop};
-use crate::world::ObjectSpec;
+use crate::world::Softness;
 
 /// Approximate edge of a cell, m.
 const CELL: f64 = 0.01;
@@ -59,7 +59,7 @@ pub struct FoundationReaction {
 
 impl ElasticFoundation {
     /// The underside of an object with half edges `size / 2`.
-    pub fn new(object: &ObjectSpec) -> Self {
+    pub fn new(object: &Softness) -> Self {
         let half = Vector3::from(object.size) / 2.0;
         let counts = [object.size[0], object.size[1]].map(|s| ((s / CELL).round() as usize).clamp(2, 20));
         let cells = (counts[0] * counts[1]) as f64;
@@ -191,9 +191,13 @@ impl ElasticFoundation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::TableSpec;
+    use crate::world::{BodySpec, ObjectSpec, TableSpec};
 
     const DT: f64 = 1e-3;
+
+    fn sponge() -> Softness {
+        BodySpec::from(&ObjectSpec::default()).softness().unwrap()
+    }
 
     fn level(friction: f64) -> TableTop {
         TableTop::new(&TableSpec { tilt_deg: [0.0; 2], bumps: vec![], friction, ..TableSpec::default() })
@@ -206,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_static_press_is_stiffness_times_depth() {
-        let mut foundation = ElasticFoundation::new(&ObjectSpec::default());
+        let mut foundation = ElasticFoundation::new(&sponge());
         let r = foundation.step(&level(0.5), &pressed(0.004, Vector3::zeros()), DT);
         assert!((r.normal - 8.0).abs() < 1e-9, "{r:?}");
         assert!((r.force - Vector3::z() * 8.0).norm() < 1e-9);
@@ -216,7 +220,7 @@ mod tests {
 
     #[test]
     fn sliding_friction_is_coulombs_and_starts_with_the_shear_stiffness() {
-        let mut foundation = ElasticFoundation::new(&ObjectSpec::default());
+        let mut foundation = ElasticFoundation::new(&sponge());
         let slow = pressed(0.004, Vector3::x() * 0.02);
         let table = level(0.5);
         let first = foundation.step(&table, &slow, DT).friction.x;
@@ -232,7 +236,7 @@ mod tests {
 
     #[test]
     fn friction_holds_at_rest_after_sliding() {
-        let mut foundation = ElasticFoundation::new(&ObjectSpec::default());
+        let mut foundation = ElasticFoundation::new(&sponge());
         let table = level(0.5);
         for _ in 0..200 {
             foundation.step(&table, &pressed(0.004, Vector3::x() * 0.05), DT);
@@ -249,7 +253,7 @@ mod tests {
             let spec =
                 TableSpec { tilt_deg: [15.0, 0.0], bumps: vec![], friction: mu, ..TableSpec::default() };
             let table = TableTop::new(&spec);
-            let object = ObjectSpec::default();
+            let object = sponge();
             let mut foundation = ElasticFoundation::new(&object);
             let n = table.plane_normal();
             let sink = object.mass * 9.81 * n.z / object.stiffness;
@@ -279,7 +283,7 @@ mod tests {
     #[test]
     fn five_newton_clean_and_two_do_not() {
         let table = level(0.5);
-        let foundation = ElasticFoundation::new(&ObjectSpec::default());
+        let foundation = ElasticFoundation::new(&sponge());
         let mut dirt = DirtGrid::new(&table);
         assert!(!foundation.wipe(&table, &pressed(0.001, Vector3::zeros()).root_from_object, &mut dirt));
         assert!(foundation.wipe(&table, &pressed(0.0025, Vector3::zeros()).root_from_object, &mut dirt));

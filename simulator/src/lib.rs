@@ -2,6 +2,7 @@
 //!
 //! - [`world`]: the world file. [`Simulation`]: everything together, stepped by tokio's clock.
 //! - [`physics`]: Rapier, grip and wrist sensor; on [`table`] and [`foundation`], the soft underside of objects.
+//! - [`start`]: where robots and bodies are at first. [`person`]: people who keep to a schedule.
 //! - [`coach`]: the person who demonstrates and coaches. [`cameras`], [`render`]: what the robot sees.
 //! - [`carrying`]: both arms and a box between their hands, an experiment besides the wiping.
 //! - [`truth`]: the true state, for recorder and [`referee`]; skills never see it.
@@ -14,17 +15,19 @@ pub mod coach;
 mod error;
 pub mod foundation;
 pub mod modification;
+pub mod person;
 pub mod physics;
 pub mod referee;
 pub mod render;
 mod sensing;
 pub mod simulation;
+pub mod start;
 pub mod table;
 pub mod truth;
 pub mod world;
 
 pub use error::{PlantError, SimulationError};
-pub use referee::{Mark, Referee, RefereeReport};
+pub use referee::{Mark, Referee};
 pub use simulation::{Handle, Options, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
 pub use world::World;

@@ -14,15 +14,19 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::cameras::{AgentEyes, Eyes, SceneState, Scenery, ScenerySink, SimulatedCameras};
+use crate::cameras::{
+    AgentEyes, Drawing, Eyes, RobotState, SceneState, Scenery, ScenerySink, SimulatedCameras,
+};
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
+use crate::person::Person;
 use crate::physics::{External, Plant};
 use crate::referee::Referee;
 use crate::sensing::Sensors;
+use crate::start;
 use crate::table::DirtGrid;
 use crate::table::WIPE_EVERY;
-use crate::truth::{Contact, TruthEvent, TruthSample, TruthSink};
+use crate::truth::{TruthEvent, TruthSample, TruthSink};
 use crate::world::{Disturbance, Milestone, World};
 
 /// One step, ns.
@@ -32,6 +36,9 @@ const STEP: Duration = Duration::from_nanos(STEP_NS);
 /// A delay longer than this is not caught up: otherwise the guard would take the silence of the commanders for
 /// their end.
 const MAX_DELAY: Duration = Duration::from_millis(10);
+
+/// The distances between people and robots are looked at every so many steps.
+const LOOKED_AT_EVERY: u64 = 20;
 
 /// Options besides world and seed.
 #[derive(Default)]
@@ -71,17 +78,34 @@ impl Handle {
     }
 }
 
-/// A simulated world.
-pub struct Simulation {
+/// A robot of the world, with what belongs to it.
+struct Agent {
+    name: String,
     robot: Arc<dyn Robot>,
     guard: Guard,
+    sensors: Sensors,
+    eyes: Eyes,
+    sample: Sample,
+    /// What the joints' sensors show beyond what is true, rad (m).
+    zeros: Vec<f64>,
+    /// Where the motors are, as sensors without noise show it, rad (m).
+    measured: Vec<f64>,
+    targets: JointTargets,
+    /// The set points of the true joints: the targets without the zeros' errors.
+    true_targets: Vec<f64>,
+}
+
+/// A simulated world.
+pub struct Simulation {
+    /// The robots; the first is the one that the referee judges.
+    robots: Vec<Agent>,
     plant: Plant,
-    /// True poses of the links; also for the wrist and elbow of the arm that works, which the coach sees.
+    /// True poses of the first robot's links: the wrist and elbow of the arm that works, which the coach sees.
     kinematics: Kinematics,
     arm: [LinkId; 2],
-    sensors: Sensors,
     coach: Coach,
-    eyes: Eyes,
+    people: Vec<Person>,
+    drawing: Drawing,
     agents: Vec<AgentEyes>,
     referee: Referee,
     sinks: Vec<Box<dyn TruthSink>>,
@@ -96,8 +120,6 @@ pub struct Simulation {
     wiping_at: Option<f64>,
     hand_gone_at: f64,
     steps: u64,
-    sample: Sample,
-    targets: JointTargets,
     external: External,
     dirt: DirtGrid,
     truth: TruthSample,
@@ -107,55 +129,75 @@ impl Simulation {
     /// Builds a world; `seed` determines everything random.
     ///
     /// # Errors
-    /// [`SimulationError`] when the robot does not fit the world.
+    /// [`SimulationError`] when a robot does not fit the world.
     pub fn new(world: &World, seed: u64, options: Options) -> Result<Self, SimulationError> {
-        let model = world.model()?;
+        let starts = start::robots(world, seed, options.start)?;
+        let model = Arc::clone(&starts[0].model);
         let arm = world.robot.arm(&model).ok_or(SimulationError::Arm)?;
-        let start = options.start.unwrap_or_else(|| model.start_of(&arm.name).to_vec());
-        let joints = model.joints().len();
-        if start.len() != joints || !start.iter().all(|q| q.is_finite()) {
-            return Err(SimulationError::Start { expected: joints });
-        }
         let stream = |n: u64| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(n);
             rng
         };
-        let plant = Plant::new(&model, world, &start)?;
-        let mut eyes = Eyes::new(&model, world, plant.table(), seed);
-        let camera = eyes.viewpoint(&start);
-        let calibration = eyes.source().calibration();
+        let plant = Plant::new(world, starts.clone())?;
+        let mut drawing = Drawing::new(world, &starts, plant.table(), seed);
+        drawing.update(&[RobotState { truth: &starts[0].true_position(), sensed: &starts[0].position }]);
+        let camera = drawing.link(0, model.camera().map(|camera| camera.left)).translation.vector.into();
+        let mut limits = options.guard;
+        let mut robots = Vec::new();
+        for ((i, start), spec) in
+            starts.iter().enumerate().zip([&world.robot].into_iter().chain(&world.robots))
+        {
+            let model = &start.model;
+            let limits = limits.take().unwrap_or_else(|| GuardConfig::of(model));
+            let (guard, robot) = Guard::new(Arc::clone(model), limits);
+            let arm = spec.arm(model).ok_or(SimulationError::Arm)?;
+            let first = 16 + 256 * i as u64;
+            robots.push(Agent {
+                name: start.name.clone(),
+                robot,
+                guard,
+                sensors: Sensors::new(model, arm, (&spec.noise, &world.faults), |n| stream(first + n)),
+                eyes: Eyes::new(world, i, start, seed),
+                sample: Sample::resting(model, start.position.clone()),
+                zeros: start.errors.zeros.clone(),
+                measured: start.position.clone(),
+                true_targets: start.true_position(),
+                targets: JointTargets {
+                    position: start.position.clone(),
+                    velocity: vec![0.0; start.position.len()],
+                },
+            });
+        }
+        let calibration = robots[0].eyes.source().calibration();
         let agents = world.agents.iter().zip(1u64..).map(|(agent, n)| {
             let seed = seed.rotate_left(32) ^ n;
-            AgentEyes::new(agent, calibration, world.camera.noise, seed)
+            AgentEyes::new(agent, calibration, &world.camera, seed)
         });
-        let (guard, robot) =
-            Guard::new(Arc::clone(&model), options.guard.unwrap_or_else(|| GuardConfig::of(&model)));
+        let object_names: Vec<String> =
+            start::bodies(world, plant.table()).into_iter().map(|body| body.spec.name).collect();
         let external =
-            External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); world.objects.len()] };
+            External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); object_names.len()] };
         Ok(Self {
-            robot,
-            guard,
             kinematics: Kinematics::new(&model),
             arm: bends(&model, arm),
-            sensors: Sensors::new(&model, arm, (&world.robot.noise, &world.faults), |n| stream(16 + n)),
             coach: Coach::new(&world.coach, world.table.height, (camera, model.side_of(arm)), stream(2)),
+            people: world.people().zip(0..).map(|(spec, n)| Person::new(spec, stream(4096 + n))).collect(),
             agents: agents.collect(),
-            eyes,
+            robots,
+            drawing,
             referee: Referee::new(world),
             sinks: options.truth_sinks,
             scenery: options.scenery,
             world: (world.name.clone(), seed),
             handle: Handle::default(),
             disturbances: world.disturbances.clone(),
-            object_names: world.objects.iter().map(|o| o.name.clone()).collect(),
             object: world.first_object(),
+            object_names,
             grasped_at: None,
             wiping_at: None,
             hand_gone_at: 0.0,
             steps: 0,
-            sample: Sample::resting(&model, start.clone()),
-            targets: JointTargets { position: start, velocity: vec![0.0; joints] },
             external,
             dirt: DirtGrid::new(plant.table()),
             truth: TruthSample::default(),
@@ -163,14 +205,24 @@ impl Simulation {
         })
     }
 
-    /// The robot, behind its guard.
+    /// The first robot, behind its guard.
     pub fn robot(&self) -> Arc<dyn Robot> {
-        Arc::clone(&self.robot)
+        Arc::clone(&self.robots[0].robot)
     }
 
-    /// The cameras on its head.
+    /// All robots by their names, each behind its own guard and with its own cameras, in the world's order. Poses in the frames
+    /// are in each robot's own root frame.
+    pub fn robots(&self) -> Vec<(String, Arc<dyn Robot>, Arc<dyn ImageSource>)> {
+        let one = |agent: &Agent| {
+            let source: Arc<SimulatedCameras> = Arc::clone(agent.eyes.source());
+            (agent.name.clone(), Arc::clone(&agent.robot), source as Arc<dyn ImageSource>)
+        };
+        self.robots.iter().map(one).collect()
+    }
+
+    /// The cameras on the first robot's head.
     pub fn images(&self) -> Arc<dyn ImageSource> {
-        let source: Arc<SimulatedCameras> = Arc::clone(self.eyes.source());
+        let source: Arc<SimulatedCameras> = Arc::clone(self.robots[0].eyes.source());
         source
     }
 
@@ -231,24 +283,28 @@ impl Simulation {
         let stamp_ns = self.steps * STEP_NS;
         let t = self.t();
         self.pass_utterances_to_coach(stamp_ns, t);
-        self.sensors.sense(
-            t,
-            self.plant.position(),
-            self.plant.velocity(),
-            self.plant.wrenches(),
-            &mut self.sample,
-        );
-        let targets = self.guard.step(stamp_ns, &self.sample);
-        self.targets.position.copy_from_slice(&targets.position);
-        self.targets.velocity.copy_from_slice(&targets.velocity);
+        for (i, robot) in self.robots.iter_mut().enumerate() {
+            let Agent { guard, sensors, sample, zeros, measured, targets, true_targets, .. } = robot;
+            let plant = &self.plant;
+            add(measured, plant.motors(i), zeros, 1.0);
+            sensors.sense(t, measured, plant.velocity(i), plant.wrenches(i), sample);
+            let next = guard.step(stamp_ns, sample);
+            targets.position.copy_from_slice(&next.position);
+            targets.velocity.copy_from_slice(&next.velocity);
+            add(true_targets, &next.position, zeros, -1.0);
+        }
         self.apply_external_forces(t);
+        let postures: Vec<_> = self.people.iter_mut().map(|person| person.step(t, 1e-3)).collect();
+        self.plant.people_want(&postures);
         self.publish_truth(stamp_ns);
         self.draw_frames(stamp_ns, t);
-        self.eyes.deliver(stamp_ns);
+        self.robots.iter_mut().for_each(|robot| robot.eyes.deliver(stamp_ns));
+        self.agents.iter_mut().for_each(|agent| agent.deliver(stamp_ns));
         if self.steps.is_multiple_of(WIPE_EVERY) {
             self.wipe();
         }
-        self.plant.step(&self.targets.position, &self.targets.velocity, &self.external);
+        let targets = self.robots.iter().map(|robot| (&robot.true_targets[..], &robot.targets.velocity[..]));
+        self.plant.step(&targets.collect::<Vec<_>>(), &self.external);
         self.steps += 1;
         self.handle.shared.now_ns.store(self.steps * STEP_NS, Ordering::Relaxed);
     }
@@ -262,7 +318,7 @@ impl Simulation {
 
     /// Passes the robot's utterances to the coach.
     fn pass_utterances_to_coach(&mut self, stamp_ns: u64, t: f64) {
-        for utterance in self.guard.take_utterances() {
+        for utterance in self.robots[0].guard.take_utterances() {
             tracing::info!(utterance, "the robot says");
             self.coach.hear(&utterance, t);
             self.event(stamp_ns, &TruthEvent::Said { utterance });
@@ -303,26 +359,31 @@ impl Simulation {
 
     /// Collects the true state and passes it to the truth sinks.
     fn publish_truth(&mut self, stamp_ns: u64) {
-        let held = self.plant.held();
+        let held = self.plant.held(0);
+        let Agent { targets, .. } = &self.robots[0];
         let taken = held.filter(|_| held != self.object || !self.truth.held);
         self.object = held.or(self.object);
         let (before, held) = (self.truth.held, held.is_some());
         let truth = &mut self.truth;
         truth.stamp_ns = stamp_ns;
-        copy(&mut truth.position, self.plant.position());
-        copy(&mut truth.velocity, self.plant.velocity());
-        copy(&mut truth.command_position, &self.targets.position);
-        copy(&mut truth.command_velocity, &self.targets.velocity);
-        truth.tcp = self.plant.tcp();
-        truth.tcp_velocity = self.plant.tcp_velocity();
+        copy(&mut truth.position, self.plant.position(0));
+        copy(&mut truth.velocity, self.plant.velocity(0));
+        copy(&mut truth.command_position, &targets.position);
+        copy(&mut truth.command_velocity, &targets.velocity);
+        truth.tcp = self.plant.tcp(0);
+        truth.tcp_velocity = self.plant.tcp_velocity(0);
         truth.held = held;
         truth.object = self.object;
         truth.objects.clear();
         truth.objects.extend((0..self.object_names.len()).filter_map(|object| self.plant.object(object)));
-        let reaction =
-            self.object.and_then(|object| self.plant.reaction(object)).copied().unwrap_or_default();
-        truth.contact = Contact { normal: reaction.normal, tangential: reaction.friction };
-        let wrench = self.plant.wrench();
+        truth.collisions.clear();
+        truth.collisions.extend(self.plant.collisions(0));
+        if self.steps.is_multiple_of(LOOKED_AT_EVERY) {
+            truth.people.clear();
+            truth.people.extend((0..self.people.len()).filter_map(|person| self.plant.distance(0, person)));
+        }
+        truth.contact = self.object.map(|object| self.plant.contact(object)).unwrap_or_default();
+        let wrench = self.plant.wrench(0);
         (truth.wrist_force, truth.wrist_torque) = (wrench.force, wrench.torque);
         self.referee.sample(&self.truth);
         for sink in &mut self.sinks {
@@ -337,7 +398,7 @@ impl Simulation {
         if held != before {
             self.event(stamp_ns, &TruthEvent::Held(held));
         }
-        if self.grasped_at.is_none() && self.plant.held().is_some() {
+        if self.grasped_at.is_none() && self.plant.held(0).is_some() {
             self.grasped_at = Some(stamp_ns as f64 * 1e-9);
             self.event(stamp_ns, &TruthEvent::Reached(Milestone::Grasp));
         }
@@ -346,37 +407,46 @@ impl Simulation {
     /// Draws the frames that are due and wanted: the robot's and those of other agents.
     fn draw_frames(&mut self, stamp_ns: u64, t: f64) {
         let elsewhere = self.scenery.as_ref().is_some_and(|scenery| scenery.is_wanted());
-        let own = self.eyes.due(t, elsewhere);
-        let due: Vec<bool> = self.agents.iter_mut().map(|agent| agent.due(t)).collect();
-        let others = due.contains(&true);
-        if !own && !others {
+        let robots = self.robots.iter_mut().enumerate();
+        let own: Vec<bool> = robots.map(|(i, robot)| robot.eyes.due(t, elsewhere && i == 0)).collect();
+        let others: Vec<bool> = self.agents.iter_mut().map(|agent| agent.due(t)).collect();
+        if !own.contains(&true) && !others.contains(&true) {
             return;
         }
         let objects: Vec<Isometry3<f64>> =
             (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
+        let people: Vec<_> = (0..self.people.len()).map(|person| self.plant.person(person)).collect();
+        let sensed: Vec<Vec<f64>> = self.robots.iter().map(|robot| robot.sample.position.clone()).collect();
+        let robots: Vec<RobotState<'_>> = (sensed.iter().enumerate())
+            .map(|(i, sensed)| RobotState { truth: self.plant.position(i), sensed })
+            .collect();
         let view = SceneState {
             stamp_ns,
-            true_position: self.plant.position(),
-            sensed_position: &self.sample.position,
+            robots: &robots,
             objects: &objects,
+            people: &people,
             coach: &self.truth.coach,
             without_hand_s: t - self.hand_gone_at,
             wiped: &self.dirt,
         };
-        if own {
+        let scene = self.drawing.scene(&view);
+        for (i, robot) in self.robots.iter_mut().enumerate().filter(|(i, _)| own[*i]) {
             let truth = match &mut self.scenery {
-                None => self.eyes.draw(&view),
-                Some(scenery) => {
-                    scenery.show(Scenery::of(&view, &self.world, self.eyes.frame()));
-                    self.eyes.paint(&view).1
+                Some(scenery) if i == 0 => {
+                    scenery.show(Scenery::of(&view, &self.world, robot.eyes.frame()));
+                    robot.eyes.paint(&self.drawing, &scene, &view).1
                 }
+                _ => robot.eyes.draw(&self.drawing, &scene, &view),
             };
-            self.referee.frame(&truth);
-            self.sinks.iter_mut().for_each(|sink| sink.frame(&truth));
+            if i == 0 {
+                self.referee.frame(&truth);
+                self.sinks.iter_mut().for_each(|sink| sink.frame(&truth));
+            }
         }
-        if others {
-            let agents = self.agents.iter().zip(due).filter_map(|(agent, due)| due.then_some(agent));
-            self.eyes.draw_for(agents, &view);
+        for (agent, due) in self.agents.iter_mut().zip(others) {
+            if due {
+                agent.draw(&scene, stamp_ns);
+            }
         }
     }
 
@@ -394,18 +464,25 @@ impl Simulation {
 
 impl Drop for Simulation {
     fn drop(&mut self) {
-        self.eyes.source().close();
+        self.robots.iter().for_each(|robot| robot.eyes.source().close());
         self.agents.iter().for_each(|agent| agent.source().close());
     }
 }
 
 /// The arm that works as it truly is, with the links where it bends.
 fn seen_arm(kinematics: &mut Kinematics, plant: &Plant, bends: [LinkId; 2]) -> SeenArm {
-    kinematics.update(plant.position());
+    kinematics.update(plant.position(0));
     let at = |link: LinkId| Point3::from(kinematics.pose(link).translation.vector);
     let [wrist, elbow] = bends.map(at);
-    let tcp = Point3::from(plant.tcp().translation.vector);
-    SeenArm { tcp, velocity: plant.tcp_velocity(), wrist, elbow }
+    let tcp = Point3::from(plant.tcp(0).translation.vector);
+    SeenArm { tcp, velocity: plant.tcp_velocity(0), wrist, elbow }
+}
+
+/// Sets `into` to `a` plus `factor` times `b`.
+fn add(into: &mut [f64], a: &[f64], b: &[f64], factor: f64) {
+    for ((into, a), b) in into.iter_mut().zip(a).zip(b) {
+        *into = a + factor * b;
+    }
 }
 
 fn copy(into: &mut Vec<f64>, from: &[f64]) {

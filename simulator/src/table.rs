@@ -92,6 +92,12 @@ impl TableTop {
         c.z - (n.x * (x - c.x) + n.y * (y - c.y)) / n.z
     }
 
+    /// Whether a point of the root frame is above or below the top.
+    pub fn is_over(&self, point: &Point3<f64>) -> bool {
+        let p = self.root_from_top.inverse_transform_point(point);
+        p.x.abs() <= self.half[0] && p.y.abs() <= self.half[1]
+    }
+
     /// The surface at a point of the root frame; `None` beside the table and below the underside of its top.
     pub fn surface(&self, point: &Point3<f64>) -> Option<SurfacePoint> {
         let p = self.root_from_top.inverse_transform_point(point);

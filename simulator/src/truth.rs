@@ -7,6 +7,8 @@ use parking_lot::Mutex;
 use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
+pub use crate::physics::Contact;
+use crate::physics::Touched;
 use crate::world::{Gesture, Milestone};
 
 /// The true state at one control step.
@@ -28,12 +30,16 @@ pub struct TruthSample {
     pub tcp_velocity: Vector3<f64>,
     /// The table's force on the judged object.
     pub contact: Contact,
-    /// The object in question, by its index in the world's `objects`: the one that the hand of the arm that works holds, or
+    /// The object in question, by its index among the world's bodies: the one that the hand of the arm that works holds, or
     /// held last; before the
     /// first grasp, the one named `sponge`, else the first. `None` in a world without objects.
     pub object: Option<usize>,
     /// Poses of the middles of all objects in the root frame, in the world's order.
     pub objects: Vec<Isometry3<f64>>,
+    /// The forces between the first robot and other things, N.
+    pub collisions: Vec<(Touched, f64)>,
+    /// The distance between the first robot's arms and each person when it was last looked at, m.
+    pub people: Vec<f64>,
     /// Whether that hand holds the judged object.
     pub held: bool,
     /// The coach's state.
@@ -50,15 +56,6 @@ impl TruthSample {
         let object = self.object?;
         Some((object, *self.objects.get(object)?))
     }
-}
-
-/// The table's force on an object.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Contact {
-    /// Normal force, N.
-    pub normal: f64,
-    /// Friction, root frame, N.
-    pub tangential: Vector3<f64>,
 }
 
 /// The truth about a rendered pair of images. In the recording: `/truth/hand`.

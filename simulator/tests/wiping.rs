@@ -115,7 +115,7 @@ fn grasped_object(world: &World, object: usize) -> (TruthfulHand, Isometry3<f64>
 #[test]
 fn the_sponge_is_taken_pressed_and_wiped_with() {
     let (mut hand, grasp) = grasped(&world());
-    let error = hand.simulation.referee().report().grasp.unwrap().position_error_m;
+    let error = hand.simulation.referee().report()["grasp"]["position_error_m"].as_f64().unwrap();
     assert!(error < 0.01, "{error}");
     hand.go(&above(&grasp, 0.0, 0.0), 2.0, -0.05);
     assert!(hand.simulation.truth().held && hand.force() == 0.0);
@@ -147,10 +147,10 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
         }
     }
     assert!(hand.simulation.truth().held);
-    let force = referee.report().force.unwrap();
-    println!("{force:?} wiped {:?}", referee.report().wiped_fraction);
-    assert!((force.mean_n - 8.0).abs() < 1.0, "{force:?}");
-    assert!(force.rms_error_n < 2.0 && force.contact_lost_s == 0.0, "{force:?}");
+    let report = referee.report();
+    let force = |key: &str| report["force"][key].as_f64().unwrap();
+    assert!((force("mean_n") - 8.0).abs() < 1.0, "{report}");
+    assert!(force("rms_error_n") < 2.0 && force("contact_lost_s") == 0.0, "{report}");
     let friction = hand.simulation.truth().contact.tangential.norm();
     assert!((friction / hand.force() - 0.5).abs() < 0.05, "{friction}");
     // The compensated wrist force includes the table's force through sponge and grip (no tare: bias and drift
@@ -180,9 +180,9 @@ fn what_was_grasped_is_judged_whatever_its_name_is() {
     hand.go(&above(&grasp, 0.02, 0.0), 1.0, -0.05);
     assert_eq!(referee.judged_object(), Some(1));
     let report = referee.report();
-    let judged = report.grasp.as_ref().unwrap();
-    assert!(judged.object == "brick" && judged.position_error_m < 0.01, "{judged:?}");
-    assert!(report.wiped_fraction.is_some_and(|fraction| fraction < 0.5), "{report:?}");
+    assert_eq!(report["grasp"]["object"], "brick");
+    assert!(report["grasp"]["position_error_m"].as_f64().unwrap() < 0.01, "{report}");
+    assert!(report["wiped_fraction"].as_f64().unwrap() < 0.5, "{report}");
     assert!(referee.sections().iter().any(|section| section.note.contains("What the brick cleaned")));
     // Before and after the grasp it is known where both are.
     let log = referee.log();

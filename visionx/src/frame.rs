@@ -22,6 +22,35 @@ pub struct DepthImage {
     pub data: Vec<f32>,
 }
 
+/// How far from a measurement a hole is filled, px.
+const FILLED: usize = 3;
+
+impl DepthImage {
+    /// Fills narrow holes, such as depth cameras leave along edges: each pixel takes the depth of the nearest measurement in its
+    /// row or column, at most three pixels away. So an edge comes to lie in the middle of its hole.
+    #[must_use]
+    pub fn filled(&self) -> Self {
+        let (w, h) = (self.width as usize, self.height as usize);
+        let mut filled = self.clone();
+        if self.data.len() != w * h {
+            return filled;
+        }
+        for (i, depth) in filled.data.iter_mut().enumerate().filter(|(_, depth)| **depth == 0.0) {
+            let (u, v) = (i % w, i / w);
+            let at = |u: usize, v: usize| Some(self.data[v * w + u]).filter(|z| *z > 0.0);
+            let near = |r: usize| {
+                let left = u.checked_sub(r).and_then(|u| at(u, v));
+                let right = Some(u + r).filter(|u| *u < w).and_then(|u| at(u, v));
+                let above = v.checked_sub(r).and_then(|v| at(u, v));
+                let below = Some(v + r).filter(|v| *v < h).and_then(|v| at(u, v));
+                left.or(right).or(above).or(below)
+            };
+            *depth = (1..=FILLED).find_map(near).unwrap_or(0.0);
+        }
+        filled
+    }
+}
+
 /// One stereo frame: both images were taken at the same time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoFrame {

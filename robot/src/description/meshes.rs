@@ -80,6 +80,11 @@ impl<'a> Meshes<'a> {
     }
 }
 
+/// Reads a mesh file: STL, OBJ or DAE, in m. `None` when it is not there or cannot be read.
+pub fn mesh_file(path: &Path) -> Option<Arc<Mesh>> {
+    load(path, &Vector3::repeat(1.0))
+}
+
 fn load(path: &Path, scale: &Vector3<f64>) -> Option<Arc<Mesh>> {
     let mut bytes = Vec::new();
     let file = std::fs::File::open(path).ok()?;

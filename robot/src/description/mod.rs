@@ -22,6 +22,7 @@ use armarium_source::{Finding, Findings, Source, Span, code, is_yaml};
 
 pub use self::file::RobotFile;
 use self::meshes::Meshes;
+pub use self::meshes::mesh_file;
 pub use self::shipped::{default_robot, shipped_robots};
 use crate::Model;
 

@@ -6,10 +6,12 @@ use std::sync::Arc;
 
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
 
-use super::{Eyes, SceneState, SimulatedCameras, StereoRig};
+use super::{SimulatedCameras, StereoRig};
 use crate::render::{Scene, SensorNoise, render_pair};
-use crate::world::AgentSpec;
+use crate::world::{AgentSpec, CameraSpec};
 
 /// The stereo pair of one agent.
 pub(crate) struct AgentEyes {
@@ -20,12 +22,23 @@ pub(crate) struct AgentEyes {
 }
 
 impl AgentEyes {
-    /// `noise`: standard deviation of each pixel's channels; `seed` determines the noise.
-    pub(crate) fn new(agent: &AgentSpec, calibration: StereoCalibration, noise: f64, seed: u64) -> Self {
+    /// Its errors are those of the robot's cameras, and arrive as late; `seed` determines them.
+    pub(crate) fn new(
+        agent: &AgentSpec,
+        calibration: StereoCalibration,
+        spec: &CameraSpec,
+        seed: u64,
+    ) -> Self {
         let scene_from_left = agent.root_from_left(calibration.baseline);
         Self {
             name: agent.name.clone(),
-            rig: StereoRig::new(&agent.name, calibration, agent.rate, SensorNoise::new(noise, seed)),
+            rig: StereoRig::new(
+                &agent.name,
+                calibration,
+                spec,
+                (agent.rate, SensorNoise::new(spec.noise, seed)),
+                ChaCha8Rng::seed_from_u64(seed),
+            ),
             scene_from_left,
             agent_from_left: agent.root_from_agent().inverse() * scene_from_left,
         }
@@ -44,24 +57,18 @@ impl AgentEyes {
         self.rig.is_due(t) && self.rig.source.wanted()
     }
 
-    fn draw(&self, scene: &Scene, stamp_ns: u64) {
+    /// Publishes the frames that have arrived by `now_ns`.
+    pub(crate) fn deliver(&mut self, now_ns: u64) {
+        self.rig.deliver(now_ns);
+    }
+
+    /// Draws a frame of a scene and publishes it.
+    pub(crate) fn draw(&mut self, scene: &Scene, stamp_ns: u64) {
         let drawn = render_pair(scene, &self.rig.left_and_right(self.scene_from_left));
         let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;
-        self.rig.source.publish(StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left });
-    }
-}
-
-impl Eyes {
-    /// Draws the view of the scene from these agents' cameras and publishes the frames.
-    pub(crate) fn draw_for<'a>(
-        &mut self,
-        agents: impl Iterator<Item = &'a AgentEyes>,
-        view: &SceneState<'_>,
-    ) {
-        self.truth.update(view.true_position);
-        let scene = self.scene(view);
-        agents.for_each(|agent| agent.draw(&scene, view.stamp_ns));
+        self.rig.send(StereoFrame { stamp_ns, left, right, depth, root_from_left });
+        self.deliver(stamp_ns);
     }
 }
 

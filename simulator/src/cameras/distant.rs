@@ -8,9 +8,10 @@ use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::{Eyes, SceneState};
+use super::{Drawing, Eyes, RobotState, SceneState};
 use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
+use crate::start;
 use crate::table::{DirtGrid, TableTop};
 use crate::world::{Gesture, World};
 
@@ -23,12 +24,18 @@ pub struct Scenery {
     pub frame: u64,
     /// Time of the frame, ns.
     pub stamp_ns: u64,
-    /// True joint positions, rad (m), in the model's order.
+    /// True joint positions of the robot whose cameras they are, rad (m), in the model's order.
     pub true_position: Vec<f64>,
-    /// Joint positions as the robot senses them.
+    /// Joint positions as it senses them.
     pub sensed_position: Vec<f64>,
-    /// Poses of the objects, in the world's order, root frame.
+    /// True joint positions of the world's other robots, in its order.
+    #[serde(default)]
+    pub others: Vec<Vec<f64>>,
+    /// Poses of the bodies, in the world's order, root frame.
     pub objects: Vec<Isometry3<f64>>,
+    /// Poses of the parts of all people.
+    #[serde(default)]
+    pub people: Vec<Vec<Isometry3<f64>>>,
     /// Pose of the coach's tool while it is shown.
     pub tool: Option<Isometry3<f64>>,
     /// Pose and gesture of the coach's hand while it is shown.
@@ -71,10 +78,9 @@ pub enum SceneryError {
 /// The cameras of a world that is in another process.
 pub struct DistantCameras {
     eyes: Eyes,
+    drawing: Drawing,
     frame: String,
     world: (String, u64),
-    joints: usize,
-    objects: usize,
     wiped: DirtGrid,
 }
 
@@ -85,9 +91,11 @@ impl Scenery {
             world: world.clone(),
             frame,
             stamp_ns: view.stamp_ns,
-            true_position: view.true_position.to_vec(),
-            sensed_position: view.sensed_position.to_vec(),
+            true_position: view.robots[0].truth.to_vec(),
+            sensed_position: view.robots[0].sensed.to_vec(),
+            others: view.robots[1..].iter().map(|robot| robot.truth.to_vec()).collect(),
             objects: view.objects.to_vec(),
+            people: view.people.to_vec(),
             tool: view.coach.tool,
             hand: view.coach.hand.map(|hand| (hand.root_from_hand, hand.gesture)),
             wiped: wiped.map(|(_, cell)| cell).collect(),
@@ -101,18 +109,17 @@ impl DistantCameras {
     /// # Errors
     /// [`SimulationError::Camera`] when the robot has none, [`SimulationError::Robot`] when it cannot be used.
     pub fn new(world: &World, seed: u64) -> Result<Self, SimulationError> {
-        let model = world.model()?;
+        let robots = start::robots(world, seed, None)?;
         let table = TableTop::new(&world.table);
-        let eyes = Eyes::new(&model, world, &table, seed);
+        let model = &robots[0].model;
         if model.camera().is_none() {
             return Err(SimulationError::Camera);
         }
         Ok(Self {
-            eyes,
+            eyes: Eyes::new(world, 0, &robots[0], seed),
+            drawing: Drawing::new(world, &robots, &table, seed),
             frame: model.camera_frame().to_owned(),
             world: (world.name.clone(), seed),
-            joints: model.joints().len(),
-            objects: world.objects.len(),
             wiped: DirtGrid::new(&table),
         })
     }
@@ -141,12 +148,17 @@ impl DistantCameras {
             let ((name, seed), (own_name, own_seed)) = (scenery.world.clone(), self.world.clone());
             return Err(SceneryError::World { name, seed, own_name, own_seed });
         }
-        let positions = [&scenery.true_position, &scenery.sensed_position];
-        let joints = positions.iter().all(|q| q.len() == self.joints && q.iter().all(|v| v.is_finite()));
-        let poses =
-            scenery.objects.iter().chain(&scenery.tool).chain(scenery.hand.iter().map(|(pose, _)| pose));
+        let truths = || [&scenery.true_position].into_iter().chain(&scenery.others);
+        let fits = |q: &Vec<f64>, joints: usize| q.len() == joints && q.iter().all(|v| v.is_finite());
+        let joints = truths().count() == self.drawing.joints().count()
+            && truths().zip(self.drawing.joints()).all(|(q, joints)| fits(q, joints))
+            && fits(&scenery.sensed_position, scenery.true_position.len());
+        let poses = (scenery.objects.iter().chain(scenery.people.iter().flatten()))
+            .chain(&scenery.tool)
+            .chain(scenery.hand.iter().map(|(pose, _)| pose));
         let finite = poses.copied().all(|pose| pose.to_homogeneous().iter().all(|v| v.is_finite()));
-        if !joints || !finite || scenery.objects.len() != self.objects {
+        let people = scenery.people.iter().map(Vec::len).eq(self.drawing.people());
+        if !joints || !finite || !people || scenery.objects.len() != self.drawing.bodies() {
             return Err(SceneryError::Shape);
         }
         self.wiped.mark_cells(&scenery.wiped);
@@ -158,16 +170,21 @@ impl DistantCameras {
         });
         let coach = CoachState { tool: scenery.tool, hand, ..CoachState::default() };
         self.eyes.rig.next_frame = scenery.frame;
-        let (drawn, _) = self.eyes.paint(&SceneState {
+        let own = RobotState { truth: &scenery.true_position, sensed: &scenery.sensed_position };
+        let others = scenery.others.iter().map(|truth| RobotState { truth, sensed: truth });
+        let robots: Vec<_> = [own].into_iter().chain(others).collect();
+        let view = SceneState {
             stamp_ns: scenery.stamp_ns,
-            true_position: &scenery.true_position,
-            sensed_position: &scenery.sensed_position,
+            robots: &robots,
             objects: &scenery.objects,
+            people: &scenery.people,
             coach: &coach,
             without_hand_s: 0.0,
             wiped: &self.wiped,
-        });
-        Ok(self.eyes.sensed(scenery.stamp_ns, drawn))
+        };
+        let seen = self.drawing.scene(&view);
+        let (drawn, _) = self.eyes.paint(&self.drawing, &seen, &view);
+        Ok(self.eyes.sensed(&view, drawn))
     }
 }
 

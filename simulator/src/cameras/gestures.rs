@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use armarium_robot::{DifferentialIk, IkConfig, Twist};
+use armarium_robot::{DifferentialIk, IkConfig, Model, Twist};
 use armarium_visionx::{Gesture, HandObserver};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::coach::{Coach, CoachPath, SeenArm};
 use crate::render::hand::SKIN;
+use crate::table::{DirtGrid, TableTop};
 use crate::world::{CoachingAction, CoachingStep, Show};
 
 /// How long a gesture (or no hand) must have lasted before a frame counts, s; the same as the referee's.
@@ -53,11 +54,11 @@ struct Wiper {
 }
 
 impl Wiper {
-    fn new(model: &Arc<Model>) -> Self {
-        let tcp = model.link("tcp_right").unwrap();
-        let joints = model.reaching_joints("right_arm");
+    fn new(model: &Arc<Model>, arm: &str) -> Self {
+        let tcp = model.arms().find(|limb| limb.name == arm).and_then(|limb| limb.tcp).unwrap();
+        let joints = model.reaching_joints(arm);
         let ik = DifferentialIk::new(model, tcp, &joints, IkConfig::default());
-        Self { ik, joints, tcp, q: model.ready("right_arm").to_vec() }
+        Self { ik, joints, tcp, q: model.ready(arm).to_vec() }
     }
 
     fn tcp(&mut self) -> Isometry3<f64> {
@@ -83,6 +84,7 @@ fn world(table: [u8; 3]) -> World {
     let mut world = World::default();
     world.table.color = table;
     world.camera.noise = 3.0;
+    (world.camera.latency, world.camera.jitter, world.camera.dropped) = (0.0, 0.0, 0.0);
     world.camera.mounting_error.rotation_deg = [2.0, -1.5, 1.0];
     world.coach.coaching = vec![
         show(2.0, Gesture::Fist, 0.6, [-0.10, -0.04, 0.05], None),
@@ -95,11 +97,14 @@ fn world(table: [u8; 3]) -> World {
 
 /// Observes the coach while a hand comes and stays, and for a moment after each has gone.
 fn watch(world: &World, seed: u64) -> Score {
-    let model = Model::shipped("armar3").unwrap();
+    let robots = crate::start::robots(world, seed, None).unwrap();
+    let model = Arc::clone(&robots[0].model);
     let table = TableTop::new(&world.table);
-    let mut eyes = Eyes::new(&model, world, &table, seed);
-    let mut wiper = Wiper::new(&model);
-    let camera = eyes.viewpoint(&wiper.q);
+    let mut eyes = Eyes::new(world, 0, &robots[0], seed);
+    let mut drawing = Drawing::new(world, &robots, &table, seed);
+    let mut wiper = Wiper::new(&model, &robots[0].arm);
+    drawing.update(&[RobotState { truth: &wiper.q, sensed: &wiper.q }]);
+    let camera = drawing.link(0, eyes.left).translation.vector.into();
     let rng = ChaCha8Rng::seed_from_u64(seed);
     let mut coach = Coach::new(&world.coach, world.table.height, (camera, 1.0), rng);
     let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
@@ -125,15 +130,17 @@ fn watch(world: &World, seed: u64) -> Score {
         if !(looks && eyes_open(t)) {
             continue;
         }
-        let truth = eyes.draw(&SceneState {
+        let view = SceneState {
             stamp_ns: step * 5_000_000,
-            true_position: &wiper.q,
-            sensed_position: &wiper.q,
-            objects: &[tcp * Isometry3::translation(0.08, 0.0, 0.0)],
+            robots: &[RobotState { truth: &wiper.q, sensed: &wiper.q }],
+            objects: &[tcp * Isometry3::from_parts(world.grasp_in_tcp().into(), UnitQuaternion::identity())],
+            people: &[],
             coach: &state,
             without_hand_s,
             wiped: &dirt,
-        });
+        };
+        let scene = drawing.scene(&view);
+        let truth = eyes.draw(&drawing, &scene, &view);
         let frame = eyes.rig.source.newest.borrow().frame.unwrap();
         let seen = observer.update(&frame).map(|s| s.gesture);
         if truth.since_s >= STEADY_S && (truth.visible || truth.gesture.is_none()) {

@@ -14,6 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
 pub use coaching::{ActionEvent, ActionKind, EventKind, HandShown};
+pub(crate) use demonstration::minimum_jerk;
 pub use demonstration::{Performance, ToolShown};
 pub use path::{CoachPath, PhaseTracker, Wobble, wrap};
 

@@ -1,7 +1,7 @@
 //! Builds a world's room, objects and robot in Rapier, once, at the start. It does not step them.
 
 use armarium_robot::{Geometry, JointKind, LinkId, Mesh, Model};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
@@ -11,13 +11,19 @@ use super::drives::{Body, Servo};
 use super::plant::{DT, Object, PAD_FRICTION};
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction};
+use crate::start::{BodyStart, Errors};
 use crate::table::{THICKNESS, TableTop};
-use crate::world::{GRAVITY, ObjectSpec};
+use crate::world::{BodyMotion, BodySpec, GRAVITY, Softness};
 
 const ROBOT: rapier::Group = rapier::Group::GROUP_1;
 const OBJECT: rapier::Group = rapier::Group::GROUP_2;
 const CORE: rapier::Group = rapier::Group::GROUP_3;
 const ROOM: rapier::Group = rapier::Group::GROUP_4;
+const RIGID: rapier::Group = rapier::Group::GROUP_5;
+const PERSON: rapier::Group = rapier::Group::GROUP_6;
+
+/// Friction of a person's skin and clothes.
+const SKIN_FRICTION: f64 = 0.5;
 
 fn groups(of: rapier::Group, with: rapier::Group) -> rapier::InteractionGroups {
     rapier::InteractionGroups::new(of, with, rapier::InteractionTestMode::And)
@@ -35,42 +41,145 @@ pub(super) fn empty_room() -> rapier::PhysicsWorld {
     physics
 }
 
-pub(super) fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) {
+/// Adds the table and the floor; returns the table.
+pub(super) fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) -> ColliderHandle {
     let [hx, hy] = table.half();
     let below = Isometry3::translation(0.0, 0.0, -THICKNESS / 2.0);
     let top = rapier::ColliderBuilder::cuboid(hx, hy, THICKNESS / 2.0)
         .position(convert::pose(&(table.root_from_top() * below)))
         .friction(table.friction())
-        .collision_groups(groups(ROOM, ROBOT | CORE));
+        .collision_groups(groups(ROOM, ROBOT | CORE | RIGID));
     let floor = rapier::ColliderBuilder::cuboid(10.0, 10.0, 0.5)
         .translation(rapier::Vector::new(0.0, 0.0, -0.5))
-        .collision_groups(groups(ROOM, ROBOT | CORE | OBJECT));
-    physics.insert_collider(top, None);
+        .collision_groups(groups(ROOM, ROBOT | CORE | OBJECT | RIGID));
+    let table = physics.insert_collider(top, None);
     physics.insert_collider(floor, None);
+    table
 }
 
-pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, spec: &ObjectSpec) -> Object {
-    let foundation = ElasticFoundation::new(spec);
+/// Adds a body that is no part of a robot.
+pub(super) fn add_body(physics: &mut rapier::PhysicsWorld, table: &TableTop, body: &BodyStart) -> Object {
+    let BodyStart { spec, room_from_body } = body;
+    match spec.softness() {
+        Some(softness) => add_soft_box(physics, table, room_from_body, &softness),
+        None => add_rigid(physics, room_from_body, spec),
+    }
+}
+
+fn add_soft_box(
+    physics: &mut rapier::PhysicsWorld,
+    table: &TableTop,
+    pose: &Isometry3<f64>,
+    softness: &Softness,
+) -> Object {
+    let foundation = ElasticFoundation::new(softness);
     let half = *foundation.half();
-    let [x, y] = spec.at;
-    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
-    // The object starts as deep as its weight presses it in.
-    let sink = spec.mass * GRAVITY / spec.stiffness;
-    let surface = Point3::new(x, y, table.plane_height(x, y));
-    let middle = surface + table.plane_normal().into_inner() * (half.z - sink);
-    let pose = Isometry3::from_parts(middle.coords.into(), table.root_from_top().rotation * yaw);
-    let handle = add_box(physics, &pose, spec.size, spec.mass);
+    let handle = add_box(physics, pose, softness.size, softness.mass);
     let full = rapier::ColliderBuilder::cuboid(half.x, half.y, half.z)
         .density(0.0)
         .friction(PAD_FRICTION)
-        .collision_groups(groups(OBJECT, ROBOT | OBJECT | ROOM));
+        .collision_groups(groups(OBJECT, ROBOT | OBJECT | ROOM | RIGID | PERSON));
     let core = rapier::ColliderBuilder::cuboid(half.x * 0.8, half.y * 0.8, half.z * 0.15)
         .density(0.0)
         .friction(table.friction())
         .collision_groups(groups(CORE, ROOM));
     let collider = physics.insert_collider(full, Some(handle));
     physics.insert_collider(core, Some(handle));
-    Object { handle, collider, foundation, reaction: FoundationReaction::default() }
+    let reaction = FoundationReaction::default();
+    Object { handle, colliders: vec![collider], foundation: Some(foundation), reaction, loose: true }
+}
+
+/// A body whose parts are all of one density.
+fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &BodySpec) -> Object {
+    let fixed = spec.motion == BodyMotion::Static;
+    let body = match fixed {
+        true => rapier::RigidBodyBuilder::fixed(),
+        false => rapier::RigidBodyBuilder::dynamic(),
+    };
+    let handle = physics.insert_body(body.pose(convert::pose(pose)).can_sleep(false));
+    let parts: Vec<_> = spec
+        .parts()
+        .iter()
+        .map(|part| {
+            shape(&part.shape, &part.link_from_shape)
+                .friction(spec.friction)
+                .collision_groups(groups(RIGID, ROBOT | OBJECT | ROOM | RIGID | PERSON))
+        })
+        .collect();
+    let volume: f64 = parts.iter().map(|part| part.shape.mass_properties(1.0).mass()).sum();
+    let density = if volume > 0.0 { spec.mass / volume } else { 0.0 };
+    let colliders: Vec<ColliderHandle> =
+        parts.into_iter().map(|part| physics.insert_collider(part.density(density), Some(handle))).collect();
+    let guided = attach(physics, handle, pose, spec);
+    let reaction = FoundationReaction::default();
+    Object { handle, colliders, foundation: None, reaction, loose: !fixed && !guided }
+}
+
+/// Adds a part of a person: one with a mass moves by forces, without gravity; the others are moved.
+pub(super) fn add_person_part(
+    physics: &mut rapier::PhysicsWorld,
+    form: &Geometry,
+    pose: &Isometry3<f64>,
+    mass: Option<f64>,
+) -> (RigidBodyHandle, ColliderHandle) {
+    let body = match mass {
+        Some(mass) => {
+            rapier::RigidBodyBuilder::dynamic().additional_mass(mass).lock_rotations().gravity_scale(0.0)
+        }
+        None => rapier::RigidBodyBuilder::kinematic_position_based(),
+    };
+    let body = physics.insert_body(body.pose(convert::pose(pose)).can_sleep(false));
+    let part = shape(form, &Isometry3::identity())
+        .density(0.0)
+        .friction(SKIN_FRICTION)
+        .collision_groups(groups(PERSON, ROBOT | RIGID | OBJECT));
+    (body, physics.insert_collider(part, Some(body)))
+}
+
+/// Attaches a body to the room by its hinge or its slide; returns whether it has one.
+fn attach(
+    physics: &mut rapier::PhysicsWorld,
+    handle: RigidBodyHandle,
+    pose: &Isometry3<f64>,
+    spec: &BodySpec,
+) -> bool {
+    let axis = |axis: [f64; 3]| nalgebra::Unit::new_normalize(Vector3::from(axis));
+    let (joint, moves, limits, damping, axis, through) = match (&spec.hinge, &spec.slide) {
+        (Some(hinge), _) => (
+            rapier::JointAxesMask::LOCKED_REVOLUTE_AXES,
+            rapier::JointAxis::AngX,
+            hinge.limits_deg.map(f64::to_radians),
+            hinge.damping,
+            axis(hinge.axis),
+            Vector3::from(hinge.through),
+        ),
+        (None, Some(slide)) => (
+            rapier::JointAxesMask::LOCKED_PRISMATIC_AXES,
+            rapier::JointAxis::LinX,
+            slide.limits,
+            slide.damping,
+            axis(slide.axis),
+            Vector3::zeros(),
+        ),
+        (None, None) => return false,
+    };
+    let room = physics.insert_body(rapier::RigidBodyBuilder::fixed());
+    let frame = Isometry3::from_parts(through.into(), along_x(&axis));
+    let joint = rapier::GenericJointBuilder::new(joint)
+        .local_frame1(convert::pose(&(pose * frame)))
+        .local_frame2(convert::pose(&frame))
+        .limits(moves, limits)
+        .motor_velocity(moves, 0.0, damping)
+        .motor_model(moves, rapier::MotorModel::ForceBased)
+        .build();
+    physics.impulse_joints.insert(room, handle, joint, true);
+    true
+}
+
+/// The rotation that turns x into an axis.
+fn along_x(axis: &nalgebra::Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(&Vector3::x(), axis)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI))
 }
 
 /// The robot's bodies in Rapier.
@@ -103,17 +212,18 @@ pub(super) fn add_robot(
     physics: &mut rapier::PhysicsWorld,
     model: &Model,
     assembly: &Assembly,
+    (room_from_root, errors): (&Isometry3<f64>, &Errors),
     (position, velocity): (&[f64], &[f64]),
 ) -> Result<RobotBodies, PlantError> {
-    let base = physics.insert_body(rapier::RigidBodyBuilder::fixed());
+    let base = physics.insert_body(rapier::RigidBodyBuilder::fixed().pose(convert::pose(room_from_root)));
     let mut bodies: Vec<Body> = Vec::new();
     let mut poses: Vec<Isometry3<f64>> = Vec::new();
     for lump in &assembly.lumps {
         let q = lump.multiplier * position[lump.joint] + lump.offset;
-        let parent_pose = lump.parent.map_or_else(Isometry3::identity, |p| poses[p]);
+        let parent_pose = lump.parent.map_or(*room_from_root, |p| poses[p]);
         let at_start = lump.parent_from_body * joint_motion(lump.kind, &lump.axis, q);
         let pose = parent_pose * at_start;
-        let handle = physics.insert_body(lump_body(lump, &pose));
+        let handle = physics.insert_body(lump_body(lump, &pose, errors));
         let parent = lump.parent.map_or(base, |p| bodies[p].handle);
         let joint = physics
             .multibody_joints
@@ -129,7 +239,8 @@ pub(super) fn add_robot(
             kind: lump.kind,
             start: q,
             state: (q, lump.multiplier * velocity[lump.joint]),
-            servo: servo(lump, model.joints()[lump.joint].effort),
+            motor: q,
+            servo: servo(lump, model.joints()[lump.joint].effort, errors),
         });
         poses.push(pose);
     }
@@ -143,7 +254,7 @@ pub(super) fn add_robot(
     Ok(robot)
 }
 
-fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
+fn lump_body(lump: &Lump, pose: &Isometry3<f64>, errors: &Errors) -> rapier::RigidBodyBuilder {
     let mass = rapier::MassProperties::with_inertia_matrix(
         convert::vector(&lump.mass.center().coords),
         lump.mass.mass.max(0.01),
@@ -152,15 +263,13 @@ fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
     rapier::RigidBodyBuilder::dynamic()
         .pose(convert::pose(pose))
         .additional_mass_properties(mass)
-        .gravity_scale(0.0)
+        .gravity_scale(errors.gravity)
         .can_sleep(false)
 }
 
 /// In both frames x is the joint's axis. The coordinate is 0 in the start posture.
 fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJoint {
-    let to_axis = UnitQuaternion::rotation_between(&Vector3::x(), &lump.axis)
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
-    let frame = Isometry3::from_parts(Vector3::zeros().into(), to_axis);
+    let frame = Isometry3::from_parts(Vector3::zeros().into(), along_x(&lump.axis));
     let locked = match lump.kind {
         JointKind::Revolute => rapier::JointAxesMask::LOCKED_REVOLUTE_AXES,
         JointKind::Prismatic => rapier::JointAxesMask::LOCKED_PRISMATIC_AXES,
@@ -171,17 +280,23 @@ fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJ
         .build()
 }
 
-/// Gains according to the load of the joint: highest for the torso, lowest for the wrist; all settle in about 10
-/// ms.
-fn servo(lump: &Lump, effort: f64) -> Servo {
-    let stiffness = match lump.kind {
-        JointKind::Prismatic => 8e3,
-        JointKind::Revolute if effort >= 150.0 => 1e5,
-        JointKind::Revolute if effort >= 50.0 => 3e4,
-        JointKind::Revolute => 1e4,
+/// Gains according to the load of the joint: highest for the torso, lowest for the wrist; all settle in the drives' time.
+fn servo(lump: &Lump, effort: f64, errors: &Errors) -> Servo {
+    let damping = match lump.kind {
+        JointKind::Prismatic => 80.0,
+        JointKind::Revolute if effort >= 150.0 => 1e3,
+        JointKind::Revolute if effort >= 50.0 => 300.0,
+        JointKind::Revolute => 100.0,
     };
-    let effort = if effort > 0.0 { effort } else { f64::MAX };
-    Servo { stiffness, damping: 0.01 * stiffness, effort }
+    let limited = effort > 0.0;
+    Servo {
+        // Spring and damper settle as exp(-t stiffness / damping), to 2 % in four time constants.
+        stiffness: 4.0 * damping / errors.drive_time,
+        damping,
+        effort: if limited { effort } else { f64::MAX },
+        friction: if limited { errors.friction * effort } else { 0.0 },
+        play: if lump.kind == JointKind::Revolute { errors.backlash / 2.0 } else { 0.0 },
+    }
 }
 
 /// Sets the motors' reflected inertia, kg m^2 (kg), and the joints' velocities, and removes Rapier's own damping, as the
@@ -198,8 +313,16 @@ fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
     }
 }
 
-fn collider(shape: &Geometry, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
-    let (builder, turn) = match shape {
+fn collider(form: &Geometry, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
+    shape(form, body_from_shape)
+        .density(0.0)
+        .friction(PAD_FRICTION)
+        .collision_groups(groups(ROBOT, OBJECT | ROOM | RIGID | PERSON))
+}
+
+/// A form at its place in a body.
+fn shape(form: &Geometry, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
+    let (builder, turn) = match form {
         Geometry::Box { size } => (
             rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0),
             UnitQuaternion::identity(),
@@ -215,11 +338,7 @@ fn collider(shape: &Geometry, body_from_shape: &Isometry3<f64>) -> rapier::Colli
         }
         Geometry::Mesh(mesh) => (hull(mesh), UnitQuaternion::identity()),
     };
-    builder
-        .position(convert::pose(&(body_from_shape * turn)))
-        .density(0.0)
-        .friction(PAD_FRICTION)
-        .collision_groups(groups(ROBOT, OBJECT | ROOM))
+    builder.position(convert::pose(&(body_from_shape * turn)))
 }
 
 /// The convex hull of a mesh; the box around it where it is flat.

@@ -19,6 +19,7 @@ use super::drives::Joints;
 use super::pad::{Moving, Pad, PadReaction, PadSpec};
 use super::plant::DT;
 use crate::error::PlantError;
+use crate::start::Errors;
 
 /// Middle of the palm, TCP frame, along the fingers, m.
 const PALM_MIDDLE: f64 = -0.03;
@@ -88,7 +89,14 @@ impl CarryingPlant {
         let assembly = Assembly::new(model, start, &dynamic, &[]);
         let mut physics = empty_room();
         let still = vec![0.0; start.len()];
-        let bodies = add_robot(&mut physics, model, &assembly, (start, &still))?.bodies;
+        let bodies = add_robot(
+            &mut physics,
+            model,
+            &assembly,
+            (&Isometry3::identity(), &Errors::none(start.len())),
+            (start, &still),
+        )?
+        .bodies;
         let half = Vector3::from(carried.size) / 2.0;
         let handle = add_table_and_box(&mut physics, carried, &half);
         let hand = |side: usize| {

@@ -11,13 +11,20 @@ use rapier3d_f64::prelude::{MultibodyJointHandle, RigidBodyHandle};
 
 use super::plant::DT;
 
-/// A servo's gains.
+/// A servo's gains, and what its drive lacks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Servo {
     pub(super) stiffness: f64,
     pub(super) damping: f64,
     pub(super) effort: f64,
+    /// Coulomb friction, N m (N).
+    pub(super) friction: f64,
+    /// Half the play between motor and link, rad (m).
+    pub(super) play: f64,
 }
+
+/// Speed above which Coulomb friction acts in full, rad/s (m/s).
+const SLIDING: f64 = 0.02;
 
 /// A lump's body.
 #[derive(Clone, Debug)]
@@ -33,6 +40,8 @@ pub(super) struct Body {
     pub(super) offset: f64,
     /// Its own position and velocity, rad (m) and rad/s (m/s).
     pub(super) state: (f64, f64),
+    /// Position of its motor, where the angle is measured, rad (m): it lags behind the link by up to half the play.
+    pub(super) motor: f64,
     pub(super) kind: JointKind,
     /// Position of the joint at which its coordinate in the multibody is 0.
     pub(super) start: f64,
@@ -91,6 +100,8 @@ pub(super) struct Joints {
     pub(super) position: Vec<f64>,
     /// True velocities, rad/s or m/s.
     pub(super) velocity: Vec<f64>,
+    /// Positions of the motors, where angles are measured, rad or m.
+    pub(super) motors: Vec<f64>,
 }
 
 impl Joints {
@@ -100,16 +111,20 @@ impl Joints {
         kinematics.update(start);
         let light = (0..model.joints().len()).filter(|joint| !heavy.contains(joint));
         let light = light.map(|joint| LightJoint::new(model, &kinematics, joint)).collect();
-        Self { bodies, light, position: start.to_vec(), velocity: vec![0.0; start.len()] }
+        let (position, motors) = (start.to_vec(), start.to_vec());
+        Self { bodies, light, position, velocity: vec![0.0; start.len()], motors }
     }
 
     /// Goes on with other bodies; joints that have none any more stand still.
-    pub(super) fn replace(&mut self, bodies: Vec<Body>) {
+    pub(super) fn replace(&mut self, mut bodies: Vec<Body>) {
         for body in &self.bodies {
             self.velocity[body.index] = 0.0;
         }
-        for body in bodies.iter().filter(|body| body.leads) {
-            (self.position[body.index], self.velocity[body.index]) = body.state;
+        for body in &mut bodies {
+            body.motor += body.multiplier * (self.motors[body.index] - self.position[body.index]);
+            if body.leads {
+                (self.position[body.index], self.velocity[body.index]) = body.state;
+            }
         }
         self.bodies = bodies;
     }
@@ -118,12 +133,13 @@ impl Joints {
     /// forward. `targets` are positions and velocities of all the model's joints.
     pub(super) fn set_targets(&self, physics: &mut rapier::PhysicsWorld, targets: (&[f64], &[f64])) {
         for body in &self.bodies {
-            let Servo { stiffness, damping, effort } = body.servo;
+            let Servo { stiffness, damping, effort, friction, .. } = body.servo;
             let (q, v) = body.state;
             let target = body.multiplier * targets.0[body.index] + body.offset;
             let speed = body.multiplier * targets.1[body.index];
             let wanted = stiffness * (target - q) + damping * (speed - v);
-            let rest = q + (wanted.clamp(-effort, effort) + damping * v) / stiffness;
+            let force = wanted.clamp(-effort, effort) - friction * (v / SLIDING).clamp(-1.0, 1.0);
+            let rest = q + (force + damping * v) / stiffness;
             if let Some((multibody, link)) = physics.multibody_joints.get_mut(body.joint)
                 && let Some(link) = multibody.link_mut(link)
             {
@@ -139,13 +155,17 @@ impl Joints {
             let Some(link) = multibody.link(id) else { continue };
             let position = body.start + link.joint.coords()[axis_of(body.kind)];
             body.state = (position, multibody.joint_velocity(link)[0]);
+            let play = body.servo.play;
+            body.motor = body.motor.clamp(position - play, position + play);
             if body.leads {
                 (self.position[body.index], self.velocity[body.index]) = body.state;
+                self.motors[body.index] = body.motor;
             }
         }
         for joint in &self.light {
             let j = joint.index;
             joint.step(&mut self.position[j], &mut self.velocity[j], (targets.0[j], targets.1[j]));
+            self.motors[j] = self.position[j];
         }
     }
 }

@@ -9,6 +9,7 @@ use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
 use super::assembly::{Assembly, Wrist};
 use super::build::RobotBodies;
+use super::contacts::Outside;
 use super::convert;
 use super::grip::{Grip, Load, PadPress};
 use super::plant::{DT, Object};
@@ -29,13 +30,6 @@ pub(super) struct Hand {
     body_from_tcp: Isometry3<f64>,
     wrench: WristWrench,
     pub(super) grip: Grip,
-}
-
-/// A force and its torque about the room's origin, N and N m.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Outside {
-    pub(super) force: Vector3<f64>,
-    pub(super) torque: Vector3<f64>,
 }
 
 impl Hand {
@@ -127,7 +121,7 @@ impl Hand {
         let presses: Vec<Vec<PadPress>> = (0..objects.len())
             .map(|object| {
                 let pads = self.pads.iter().filter(|_| !others.contains(&object));
-                pads.map(|pad| press(physics, *pad, objects[object].collider)).collect()
+                pads.map(|pad| press(physics, *pad, &objects[object])).collect()
             })
             .collect();
         let load = self.grip.held().zip(outside).map(|(held, outside)| -> Load {
@@ -162,10 +156,16 @@ impl Hand {
 }
 
 /// The pressure of a pad on an object.
-fn press(physics: &rapier::PhysicsWorld, pad: ColliderHandle, object: ColliderHandle) -> PadPress {
-    let Some(pair) = physics.narrow_phase.contact_pair(pad, object) else {
-        return PadPress::default();
-    };
-    let impulse: f64 = pair.solver_manifolds().iter().flat_map(|m| &m.points).map(|p| p.data.impulse).sum();
-    PadPress { touches: pair.has_any_active_contact(), force: impulse / DT }
+fn press(physics: &rapier::PhysicsWorld, pad: ColliderHandle, object: &Object) -> PadPress {
+    let mut press = PadPress::default();
+    if !object.loose {
+        return press;
+    }
+    for collider in &object.colliders {
+        let Some(pair) = physics.narrow_phase.contact_pair(pad, *collider) else { continue };
+        let points = pair.solver_manifolds().iter().flat_map(|m| &m.points);
+        press.touches |= pair.has_any_active_contact();
+        press.force += points.map(|p| p.data.impulse).sum::<f64>() / DT;
+    }
+    press
 }

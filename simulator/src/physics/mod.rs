@@ -5,14 +5,19 @@
 mod assembly;
 mod build;
 pub mod carrying;
+mod contacts;
 mod convert;
 mod drives;
 pub mod grip;
 mod hand;
 pub mod pad;
+mod people;
 mod plant;
+mod robot;
+#[cfg(test)]
+mod scene_tests;
 #[cfg(test)]
 mod tests;
 mod wrench;
 
-pub use plant::{DT, External, PAD_FRICTION, Plant};
+pub use plant::{Contact, DT, External, PAD_FRICTION, Plant, Targets, Touched};

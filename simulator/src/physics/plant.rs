@@ -1,198 +1,121 @@
-//! Robot, table and objects as Rapier bodies, stepped at 1 kHz.
+//! Robots, table and bodies in Rapier, stepped at 1 kHz.
 //!
-//! - The arms, what helps them and their hands are one multibody in reduced coordinates. Every joint has a servo: a stiff
-//!   spring and damper about the set point, with feed-forward of the set velocity. It is integrated implicitly, and
+//! - The arms of a robot, what helps them and their hands are one multibody in reduced coordinates. Every joint has a servo: a
+//!   stiff spring and damper about the set point, with feed-forward of the set velocity. It is integrated implicitly, and
 //!   its force is limited by the joint's effort. The servo compensates the robot's own weight by its nominal model.
 //!   As that model is exact, the two cancel and gravity is left out for these bodies (loads and contacts act in
 //!   full).
 //! - An arm that stands, with no new set point and touched by nothing, sleeps with what it holds: its joints are stiff until
-//!   it is commanded or touched, and cost nothing (see [`Rest`]).
+//!   it is commanded or touched, and cost nothing (see [`PlantRobot`]).
 //! - Joints of other limbs, such as the head's, have servos of their own that move the inertia beyond them; their motion
 //!   does not shake the rest.
-//! - Objects are free boxes on an [`ElasticFoundation`] of springs. Rapier handles their contacts with the fingers,
-//!   and a thin core keeps them from falling through the table when they lie on their side.
+//! - Soft objects are free boxes on an [`ElasticFoundation`] of springs. Rapier handles their contacts with the fingers,
+//!   and a thin core keeps them from falling through the table when they lie on their side. Rapier handles rigid bodies
+//!   alone; for them the table is flat.
 //! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
 //! - The wrist sensors are exact here (see [`wrench`](super::wrench)); noise is added in the sensing.
 
-use std::sync::Arc;
-
-use armarium_robot::{Limb, Model, Wrench};
+use armarium_robot::Wrench;
 use nalgebra::{Isometry3, Vector3};
+use rapier3d_f64::parry::query;
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
 
-use super::assembly::Assembly;
-use super::build::{RobotBodies, add_object, add_robot, add_room, empty_room};
+use super::build::{add_body, add_room, empty_room};
+use super::contacts::{Outside, Touch, touches};
 use super::convert;
-use super::drives::Joints;
-use super::hand::{Hand, Outside};
+use super::people::PersonBodies;
+use super::robot::{Arm, PlantRobot};
 use super::wrench::Momentum;
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
+use crate::person::Posture;
+use crate::start::{self, RobotStart};
 use crate::table::TableTop;
-use crate::world::World;
+use crate::world::{PersonSpec, World};
 
 /// One step, s.
 pub const DT: f64 = 1e-3;
 /// Friction of finger pads on objects.
 pub const PAD_FRICTION: f64 = 0.9;
-/// An arm sleeps after this many steps of rest.
-const SLEEPS_AFTER: u32 = 300;
-/// How far the first set points may be from where the joints are, rad (m): some deviations of the joint sensors.
-const FIRST_TARGET: f64 = 2e-3;
-/// A joint that is slower than this rests, rad/s (m/s).
-const RESTING: f64 = 1e-3;
+
+/// Positions and velocities of all joints of a robot, rad (m) and rad/s (m/s).
+pub type Targets<'a> = (&'a [f64], &'a [f64]);
 
 /// Forces from outside in one step, root frame, N.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct External {
-    /// On the hand of the arm that works, at the TCP.
+    /// On the hand of the first robot's arm that works, at the TCP.
     pub hand: Vector3<f64>,
-    /// On each object's middle.
+    /// On each body's middle.
     pub objects: Vec<Vector3<f64>>,
 }
 
-/// An object's body.
+/// A body that is no part of a robot.
 #[derive(Clone, Debug)]
 pub(super) struct Object {
     pub(super) handle: RigidBodyHandle,
-    pub(super) collider: ColliderHandle,
-    pub(super) foundation: ElasticFoundation,
+    pub(super) colliders: Vec<ColliderHandle>,
+    /// The springs under a soft one.
+    pub(super) foundation: Option<ElasticFoundation>,
+    /// The force of those springs in the last step.
     pub(super) reaction: FoundationReaction,
-}
-
-/// An arm with its hand.
-struct Arm {
-    /// Its joints and those of its hand.
-    joints: Vec<usize>,
-    /// Its wrench sensor.
-    sensor: Option<usize>,
-    colliders: Vec<ColliderHandle>,
-    /// Whether something touched it in the last step.
-    touched: bool,
-    hand: Hand,
-    rest: Rest,
-}
-
-/// Whether an arm sleeps.
-///
-/// It falls asleep when for [`SLEEPS_AFTER`] steps its set points have not changed, its joints have stood, and nothing has
-/// touched or pushed it or what it holds. It wakes in the step in which one of these ends. Asleep, its joints are stiff where
-/// they are, and it keeps its grip.
-#[derive(Debug)]
-struct Rest {
-    asleep: bool,
-    /// Number of steps for which it has rested.
-    steps: u32,
-    /// The set points of the last step; at first, where the joints are.
-    targets: Vec<f64>,
-    /// How far a set point may be from the one before without asking for motion, rad (m).
-    tolerance: f64,
-}
-
-impl Rest {
-    /// Takes a step's set points over; returns whether they ask for motion.
-    fn asks_for_motion(&mut self, joints: &[usize], (position, velocity): (&[f64], &[f64])) -> bool {
-        let mut moving = false;
-        for (&joint, target) in joints.iter().zip(&mut self.targets) {
-            moving |= velocity[joint] != 0.0 || (*target - position[joint]).abs() > self.tolerance;
-            *target = position[joint];
-        }
-        self.tolerance = 0.0;
-        moving
-    }
+    /// Whether a hand can take it.
+    pub(super) loose: bool,
 }
 
 /// The physics of a world.
 pub struct Plant {
-    model: Arc<Model>,
     physics: rapier::PhysicsWorld,
     table: TableTop,
-    joints: Joints,
-    /// The joints of the arms, of what helps them, and of their hands.
-    heavy: Vec<usize>,
-    robot: RobotBodies,
+    table_collider: ColliderHandle,
     objects: Vec<Object>,
-    arms: Vec<Arm>,
-    /// The arm that works, as an index into `arms`.
-    working: usize,
+    robots: Vec<PlantRobot>,
+    people: Vec<PersonBodies>,
+    /// The contacts of the last step.
+    touches: Vec<Touch>,
 }
 
 impl Plant {
-    /// Builds the world with the robot in the posture `start`: positions of all the model's joints, rad or m.
+    /// Builds the world with its robots; [`start::robots`] gives them. The first robot's root is the room's origin.
     ///
     /// # Errors
-    /// [`PlantError`] when the robot lacks a limb or link that the simulator needs.
-    pub fn new(model: &Arc<Model>, world: &World, start: &[f64]) -> Result<Self, PlantError> {
-        let missing = |what: &str| PlantError::Missing { what: what.to_owned() };
-        let works = world.robot.arm(model).ok_or_else(|| missing("arm that works"))?;
-        let limbs: Vec<&Limb> = model.arms().collect();
-        let own = |arm: &Limb| -> Vec<usize> {
-            let hand = arm.hand.as_deref().map_or(&[][..], |hand| model.limb(hand));
-            arm.joints.iter().chain(hand).copied().collect()
-        };
-        let touching: Vec<usize> = limbs.iter().flat_map(|arm| own(arm)).collect();
-        let mut heavy = touching.clone();
-        for joint in limbs.iter().flat_map(|arm| model.reaching_joints(&arm.name)) {
-            if !heavy.contains(&joint) {
-                heavy.push(joint);
-            }
-        }
+    /// [`PlantError`] when a robot lacks a limb or link that the simulator needs.
+    pub fn new(world: &World, robots: Vec<RobotStart>) -> Result<Self, PlantError> {
         let mut physics = empty_room();
         let table = TableTop::new(&world.table);
-        add_room(&mut physics, &table);
-        // All arms sleep at first.
-        let carriers: Vec<usize> = heavy.iter().copied().filter(|joint| !touching.contains(joint)).collect();
-        let assembly = Assembly::new(model, start, &carriers, &touching);
-        let still = vec![0.0; start.len()];
-        let robot = add_robot(&mut physics, model, &assembly, (start, &still))?;
-        let objects: Vec<_> = world.objects.iter().map(|o| add_object(&mut physics, &table, o)).collect();
-        let arm = |limb: &&Limb| {
-            let hand = Hand::new(model, limb, (&assembly, &robot), objects.len())?;
-            Some(Arm {
-                joints: own(limb),
-                sensor: limb.wrench,
-                colliders: Vec::new(),
-                touched: false,
-                hand,
-                // The first set points are where the joints are sensed to be.
-                rest: Rest {
-                    asleep: true,
-                    steps: 0,
-                    targets: own(limb).iter().map(|&joint| start[joint]).collect(),
-                    tolerance: FIRST_TARGET,
-                },
-            })
-        };
-        let arms: Vec<Arm> = limbs.iter().filter_map(arm).collect();
-        let working = limbs.iter().position(|arm| arm.name == works.name).unwrap_or(0);
-        let bodies = robot.bodies.clone();
-        let mut plant = Self {
-            model: Arc::clone(model),
-            table,
-            joints: Joints::new(model, bodies, &heavy, start),
-            physics,
-            heavy,
-            robot,
-            objects,
-            arms,
-            working,
-        };
-        plant.find_colliders();
+        let table_collider = add_room(&mut physics, &table);
+        let bodies = start::bodies(world, &table);
+        let mut robots = robots.into_iter();
+        let first = robots.next().ok_or_else(|| PlantError::Missing { what: "robot".into() })?;
+        let mut all = vec![PlantRobot::new(&mut physics, first, bodies.len())?];
+        let objects: Vec<_> = bodies.iter().map(|body| add_body(&mut physics, &table, body)).collect();
+        for robot in robots {
+            all.push(PlantRobot::new(&mut physics, robot, bodies.len())?);
+        }
+        let stand = |spec: &PersonSpec| PersonBodies::new(&mut physics, spec, Posture::standing(spec));
+        let people = world.people().map(stand).collect();
+        let mut plant =
+            Self { physics, table, table_collider, objects, robots: all, people, touches: Vec::new() };
         plant.weigh();
         let momenta = plant.momenta();
         plant.feel(&External::default(), &momenta);
         Ok(plant)
     }
 
-    /// True joint positions, rad or m, in the model's order.
-    pub fn position(&self) -> &[f64] {
-        &self.joints.position
+    /// True joint positions of a robot, rad or m, in its model's order.
+    pub fn position(&self, robot: usize) -> &[f64] {
+        &self.robots[robot].joints.position
     }
 
-    /// True joint velocities, rad/s or m/s.
-    pub fn velocity(&self) -> &[f64] {
-        &self.joints.velocity
+    /// The positions of a robot's motors, where its angles are measured, rad or m.
+    pub fn motors(&self, robot: usize) -> &[f64] {
+        &self.robots[robot].joints.motors
+    }
+
+    /// True joint velocities of a robot, rad/s or m/s.
+    pub fn velocity(&self, robot: usize) -> &[f64] {
+        &self.robots[robot].joints.velocity
     }
 
     /// The table.
@@ -200,18 +123,14 @@ impl Plant {
         &self.table
     }
 
-    fn hand(&self) -> &Hand {
-        &self.arms[self.working].hand
+    /// Pose of the TCP of a robot's arm that works, in the room.
+    pub fn tcp(&self, robot: usize) -> Isometry3<f64> {
+        self.robots[robot].hand().tcp(&self.physics.bodies)
     }
 
-    /// Pose of the TCP of the arm that works.
-    pub fn tcp(&self) -> Isometry3<f64> {
-        self.hand().tcp(&self.physics.bodies)
-    }
-
-    /// Velocity of that TCP, m/s, root frame.
-    pub fn tcp_velocity(&self) -> Vector3<f64> {
-        self.hand().tcp_velocity(&self.physics.bodies)
+    /// Velocity of that TCP, m/s, in the room.
+    pub fn tcp_velocity(&self, robot: usize) -> Vector3<f64> {
+        self.robots[robot].hand().tcp_velocity(&self.physics.bodies)
     }
 
     /// Pose of an object's middle.
@@ -219,108 +138,116 @@ impl Plant {
         self.objects.get(index).map(|o| convert::to_pose(self.physics.bodies[o.handle].position()))
     }
 
-    /// The springs under an object.
+    /// The springs under an object, if it is soft.
     pub fn foundation(&self, index: usize) -> Option<&ElasticFoundation> {
-        self.objects.get(index).map(|o| &o.foundation)
+        self.objects.get(index).and_then(|o| o.foundation.as_ref())
     }
 
     /// The force of the table on an object in the last step.
-    pub fn reaction(&self, index: usize) -> Option<&FoundationReaction> {
-        self.objects.get(index).map(|o| &o.reaction)
+    pub fn contact(&self, index: usize) -> Contact {
+        let Some(object) = self.objects.get(index) else { return Contact::default() };
+        let mut contact = Contact { normal: object.reaction.normal, tangential: object.reaction.friction };
+        if object.foundation.is_some() {
+            return contact;
+        }
+        for touch in &self.touches {
+            let [first, second] = touch.colliders;
+            let sign = if first == self.table_collider && object.colliders.contains(&second) {
+                1.0
+            } else if second == self.table_collider && object.colliders.contains(&first) {
+                -1.0
+            } else {
+                continue;
+            };
+            let up = self.table.plane_normal();
+            let force = touch.force * sign;
+            let normal = force.dot(&up);
+            contact.normal += normal;
+            contact.tangential += force - up.into_inner() * normal;
+        }
+        contact
     }
 
-    /// Index of the object that the hand of the arm that works holds.
-    pub fn held(&self) -> Option<usize> {
-        self.hand().grip.held()
+    /// Index of the object that the hand of a robot's arm that works holds.
+    pub fn held(&self, robot: usize) -> Option<usize> {
+        self.robots[robot].hand().grip.held()
     }
 
-    /// What the hands exert on the wrench sensors in the last step, without noise, in the order of the model's: sensor's
+    /// What a robot's hands exert on its wrench sensors in the last step, without noise, in the order of the model's: sensor's
     /// frame, about its origin. A sensor of no arm feels nothing.
-    pub fn wrenches(&self) -> impl Iterator<Item = Wrench> + '_ {
-        (0..self.model.wrenches().len()).map(|sensor| {
-            let arm = self.arms.iter().find(|arm| arm.sensor == Some(sensor));
-            arm.map_or_else(Wrench::default, |arm| arm.hand.wrench())
-        })
+    pub fn wrenches(&self, robot: usize) -> impl Iterator<Item = Wrench> + '_ {
+        self.robots[robot].wrenches()
     }
 
-    /// What the hand of the arm that works exerts on its wrench sensor.
-    pub fn wrench(&self) -> Wrench {
-        self.hand().wrench()
+    /// What the hand of a robot's arm that works exerts on its wrench sensor.
+    pub fn wrench(&self, robot: usize) -> Wrench {
+        self.robots[robot].hand().wrench()
     }
 
     /// The number of arms that are awake.
     pub fn awake(&self) -> usize {
-        self.arms.iter().filter(|arm| !arm.rest.asleep).count()
+        self.arms().filter(|arm| !arm.rest.asleep).count()
     }
 
-    /// Advances by [`DT`]. The servo targets are positions and velocities of all joints.
-    pub fn step(&mut self, position: &[f64], velocity: &[f64], external: &External) {
-        self.wake_and_rest((position, velocity), external);
-        self.joints.set_targets(&mut self.physics, (position, velocity));
+    fn arms(&self) -> impl Iterator<Item = &Arm> {
+        self.robots.iter().flat_map(|robot| &robot.arms)
+    }
+
+    /// Takes over what the people want from now on, in the world's order; each was asked in each step.
+    pub fn people_want(&mut self, postures: &[Posture]) {
+        for (person, posture) in self.people.iter_mut().zip(postures) {
+            person.want(posture, DT);
+        }
+    }
+
+    /// The poses of the parts of a person, in the order of [`parts`](crate::person::parts).
+    pub fn person(&self, person: usize) -> Vec<Isometry3<f64>> {
+        self.people.get(person).map_or_else(Vec::new, |person| person.poses(&self.physics.bodies))
+    }
+
+    /// Advances by [`DT`]. The servo targets are those of each robot.
+    pub fn step(&mut self, targets: &[Targets<'_>], external: &External) {
+        self.wake_and_rest(targets, external);
+        for (robot, targets) in self.robots.iter().zip(targets) {
+            robot.joints.set_targets(&mut self.physics, *targets);
+        }
         self.apply(external);
+        for person in &self.people {
+            person.apply(&mut self.physics.bodies);
+        }
         self.physics.step();
-        self.joints.read(&self.physics, (position, velocity));
+        self.touches = touches(&self.physics);
+        for (robot, targets) in self.robots.iter_mut().zip(targets) {
+            robot.joints.read(&self.physics, *targets);
+        }
         let momenta = self.momenta();
         self.update_grips(external, &momenta);
         self.feel(external, &momenta);
     }
 
     /// Wakes arms that are commanded or touched, and lets those sleep that have rested for long enough.
-    fn wake_and_rest(&mut self, targets: (&[f64], &[f64]), external: &External) {
-        let mut changed = false;
-        for (i, arm) in self.arms.iter_mut().enumerate() {
-            let asked = arm.rest.asks_for_motion(&arm.joints, targets);
-            let pushed = i == self.working && external.hand != Vector3::zeros();
-            let moves = arm.joints.iter().any(|&joint| self.joints.velocity[joint].abs() > RESTING);
-            let knocked = arm.hand.grip.held().and_then(|held| external.objects.get(held));
-            let pushed = pushed || knocked.is_some_and(|knock| *knock != Vector3::zeros());
-            let busy = asked || pushed || moves || arm.touched;
-            arm.rest.steps = if busy { 0 } else { arm.rest.steps.saturating_add(1) };
-            let asleep = if arm.rest.asleep { !busy } else { arm.rest.steps >= SLEEPS_AFTER };
-            changed |= asleep != arm.rest.asleep;
-            arm.rest.asleep = asleep;
-        }
-        if changed && let Err(error) = self.rebuild() {
-            tracing::error!("the robot's bodies cannot be built again: {error}");
-        }
-    }
-
-    /// Builds the robot's bodies again, for the arms that are awake now.
-    fn rebuild(&mut self) -> Result<(), PlantError> {
-        let asleep =
-            |joint: &usize| self.arms.iter().any(|arm| arm.rest.asleep && arm.joints.contains(joint));
-        let dynamic: Vec<usize> = self.heavy.iter().copied().filter(|joint| !asleep(joint)).collect();
-        let touching: Vec<usize> = self.arms.iter().flat_map(|arm| arm.joints.iter().copied()).collect();
-        let held: Vec<Option<usize>> = self.arms.iter().map(|arm| arm.hand.grip.held()).collect();
-        held.iter().flatten().for_each(|object| self.part(*object));
-        self.robot.remove(&mut self.physics);
-        let Joints { position, velocity, .. } = &self.joints;
-        let assembly = Assembly::new(&self.model, position, &dynamic, &touching);
-        self.robot = add_robot(&mut self.physics, &self.model, &assembly, (position, velocity))?;
-        self.joints.replace(self.robot.bodies.clone());
-        for arm in &mut self.arms {
-            arm.hand.renew(&self.model, &assembly, &self.robot);
-        }
-        self.find_colliders();
-        for (arm, held) in held.iter().enumerate() {
-            held.iter().for_each(|object| self.join(arm, *object));
-        }
-        Ok(())
-    }
-
-    fn find_colliders(&mut self) {
-        let model = &self.model;
-        for arm in &mut self.arms {
-            let moved = |joint: &usize, link| model.moves(*joint, link);
-            let colliders = self.robot.colliders.iter();
-            let own = colliders.filter(|(link, _)| arm.joints.iter().any(|joint| moved(joint, *link)));
-            arm.colliders = own.map(|(_, collider)| *collider).collect();
+    fn wake_and_rest(&mut self, targets: &[Targets<'_>], external: &External) {
+        for (i, targets) in targets.iter().enumerate().take(self.robots.len()) {
+            let push = if i == 0 { external.hand } else { Vector3::zeros() };
+            if !self.robots[i].wake_and_rest(*targets, &push, &external.objects) {
+                continue;
+            }
+            let held: Vec<Option<usize>> =
+                self.robots[i].arms.iter().map(|arm| arm.hand.grip.held()).collect();
+            held.iter().flatten().for_each(|object| self.part(*object));
+            if let Err(error) = self.robots[i].rebuild(&mut self.physics) {
+                tracing::error!("the robot's bodies cannot be built again: {error}");
+                continue;
+            }
+            for (arm, held) in held.iter().enumerate() {
+                held.iter().for_each(|object| self.join((i, arm), *object));
+            }
         }
     }
 
     fn apply(&mut self, external: &External) {
-        let tcp = self.tcp().translation.vector;
-        let palm = self.hand().palm;
+        let hand = self.robots[0].hand();
+        let (tcp, palm) = (hand.tcp(&self.physics.bodies).translation.vector, hand.palm);
         let palm = &mut self.physics.bodies[palm];
         palm.reset_forces(false);
         palm.reset_torques(false);
@@ -329,51 +256,80 @@ impl Plant {
         }
         for (i, object) in self.objects.iter_mut().enumerate() {
             let body = &mut self.physics.bodies[object.handle];
-            let motion = Motion {
-                root_from_object: convert::to_pose(body.position()),
-                linear: convert::to_vector(body.linvel()),
-                angular: convert::to_vector(body.angvel()),
-            };
-            object.reaction = object.foundation.step(&self.table, &motion, DT);
-            let force = object.reaction.force + external.objects.get(i).copied().unwrap_or_default();
+            let knock = external.objects.get(i).copied().unwrap_or_default();
             body.reset_forces(false);
             body.reset_torques(false);
-            body.add_force(convert::vector(&force), true);
-            body.add_torque(convert::vector(&object.reaction.torque), true);
+            if let Some(foundation) = &mut object.foundation {
+                let motion = Motion {
+                    root_from_object: convert::to_pose(body.position()),
+                    linear: convert::to_vector(body.linvel()),
+                    angular: convert::to_vector(body.angvel()),
+                };
+                object.reaction = foundation.step(&self.table, &motion, DT);
+                body.add_force(convert::vector(&(object.reaction.force + knock)), true);
+                body.add_torque(convert::vector(&object.reaction.torque), true);
+            } else if knock != Vector3::zeros() {
+                body.add_force(convert::vector(&knock), true);
+            }
         }
     }
 
     /// Makes or breaks the joints between palms and objects.
     fn update_grips(&mut self, external: &External, momenta: &[Momentum]) {
         let touched = self.touched();
-        let held: Vec<Option<usize>> = self.arms.iter().map(|arm| arm.hand.grip.held()).collect();
-        for i in 0..self.arms.len() {
-            self.arms[i].touched = touched[i];
-            let Arm { hand, rest, .. } = &mut self.arms[i];
-            let before = held[i];
-            if rest.asleep || (!touched[i] && before.is_none()) {
+        let held: Vec<(usize, usize, Option<usize>)> = (0..self.robots.len())
+            .flat_map(|robot| {
+                let arms = self.robots[robot].arms.iter().enumerate();
+                arms.map(move |(i, arm)| (robot, i, arm.hand.grip.held()))
+            })
+            .collect();
+        for (n, (&(robot, i, before), touched)) in held.iter().zip(touched).enumerate() {
+            let outside = before.map(|held| self.outside(held, (robot, i), external));
+            let Arm { hand, rest, touched: was, .. } = &mut self.robots[robot].arms[i];
+            *was = touched;
+            if rest.asleep || (!touched && before.is_none()) {
                 hand.rest_grip();
                 continue;
             }
-            let others: Vec<usize> =
-                held.iter().enumerate().filter(|(k, _)| *k != i).filter_map(|(_, held)| *held).collect();
-            let outside = before.map(|held| {
-                let reaction = &self.objects[held].reaction;
-                let knock = external.objects.get(held).copied().unwrap_or_default();
-                Outside { force: reaction.force + knock, torque: reaction.torque }
-            });
+            let others: Vec<usize> = held
+                .iter()
+                .enumerate()
+                .filter(|(k, _)| *k != n)
+                .filter_map(|(_, (.., held))| *held)
+                .collect();
             hand.step_grip(&self.physics, &self.objects, momenta, outside, &others);
             let after = hand.grip.held();
             if before == after {
                 continue;
             }
             before.into_iter().for_each(|lost| self.part(lost));
-            after.into_iter().for_each(|taken| self.join(i, taken));
+            after.into_iter().for_each(|taken| self.join((robot, i), taken));
         }
     }
 
-    fn join(&mut self, arm: usize, object: usize) {
-        let (palm, handle) = (self.arms[arm].hand.palm, self.objects[object].handle);
+    /// The sum of the forces on an object besides its weight and the hand that holds it, with their torque about its middle.
+    fn outside(&self, object: usize, (robot, arm): (usize, usize), external: &External) -> Outside {
+        let knock = external.objects.get(object).copied().unwrap_or_default();
+        let Object { reaction, handle, foundation, .. } = &self.objects[object];
+        let mut sum = Outside { force: reaction.force + knock, torque: reaction.torque };
+        if foundation.is_none() {
+            let middle = convert::to_vector(self.physics.bodies[*handle].center_of_mass());
+            let own = &self.robots[robot].arms[arm].colliders;
+            for touch in self.touches.iter().filter(|touch| !touch.colliders.iter().any(|c| own.contains(c)))
+            {
+                let sign = match touch.bodies {
+                    [_, Some(second)] if second == *handle => 1.0,
+                    [Some(first), _] if first == *handle => -1.0,
+                    _ => continue,
+                };
+                sum.add(&(touch.force * sign), &(touch.point - middle));
+            }
+        }
+        sum
+    }
+
+    fn join(&mut self, (robot, arm): (usize, usize), object: usize) {
+        let (palm, handle) = (self.robots[robot].arms[arm].hand.palm, self.objects[object].handle);
         let bodies = &self.physics.bodies;
         let palm_from_object = bodies[palm].position().inverse() * *bodies[handle].position();
         let joint = rapier::FixedJointBuilder::new().local_frame1(palm_from_object).build();
@@ -398,7 +354,7 @@ impl Plant {
 
     fn weigh(&mut self) {
         let momenta = self.momenta();
-        for arm in &mut self.arms {
+        for arm in self.robots.iter_mut().flat_map(|robot| &mut robot.arms) {
             arm.hand.remember(&self.physics.bodies, &momenta);
         }
     }
@@ -412,21 +368,22 @@ impl Plant {
     /// Updates what the wrench sensors feel.
     fn feel(&mut self, external: &External, momenta: &[Momentum]) {
         let mut outside = self.contacts_from_outside();
-        for (i, (arm, outside)) in self.arms.iter().zip(&mut outside).enumerate() {
-            if i == self.working {
-                outside.force += external.hand;
-                outside.torque += arm.hand.tcp(&self.physics.bodies).translation.vector.cross(&external.hand);
+        for (i, (arm, outside)) in self.arms().zip(&mut outside).enumerate() {
+            // The first robot's arms come first.
+            if i == self.robots[0].working {
+                outside.add(&external.hand, &arm.hand.tcp(&self.physics.bodies).translation.vector);
             }
             if let Some(held) = arm.hand.grip.held() {
                 let middle =
                     convert::to_vector(self.physics.bodies[self.objects[held].handle].center_of_mass());
                 let reaction = &self.objects[held].reaction;
                 let on_object = reaction.force + external.objects.get(held).copied().unwrap_or_default();
-                outside.force += on_object;
-                outside.torque += middle.cross(&on_object) + reaction.torque;
+                outside.add(&on_object, &middle);
+                outside.torque += reaction.torque;
             }
         }
-        for (arm, outside) in self.arms.iter_mut().zip(&outside) {
+        let arms = self.robots.iter_mut().flat_map(|robot| &mut robot.arms);
+        for (arm, outside) in arms.zip(&outside) {
             arm.hand.feel(&self.physics.bodies, momenta, outside);
         }
     }
@@ -435,11 +392,11 @@ impl Plant {
     fn touched(&self) -> Vec<bool> {
         let held = |arm: &Arm| arm.hand.grip.held().map(|held| &self.objects[held]);
         let rubs = |arm: &Arm| held(arm).is_some_and(|object| object.reaction.normal > 0.0);
-        let mut touched: Vec<bool> = self.arms.iter().map(rubs).collect();
+        let mut touched: Vec<bool> = self.arms().map(rubs).collect();
         for pair in self.physics.narrow_phase.contact_pairs().filter(|pair| pair.has_any_active_contact()) {
-            for (arm, touched) in self.arms.iter().zip(&mut touched) {
-                let holds = held(arm).map(|object| object.collider);
-                let own = |it: ColliderHandle| arm.colliders.contains(&it) || holds == Some(it);
+            for (arm, touched) in self.arms().zip(&mut touched) {
+                let holds = held(arm).map_or(&[][..], |object| &object.colliders);
+                let own = |it: ColliderHandle| arm.colliders.contains(&it) || holds.contains(&it);
                 *touched |= own(pair.collider1) != own(pair.collider2);
             }
         }
@@ -449,34 +406,70 @@ impl Plant {
     /// For each hand, the force and torque of Rapier's contacts between what is beyond its wrench sensor and everything
     /// else.
     fn contacts_from_outside(&self) -> Vec<Outside> {
-        let mut outside = vec![Outside::default(); self.arms.len()];
-        for pair in self.physics.narrow_phase.contact_pairs() {
-            for manifold in pair.solver_manifolds() {
-                let data = &manifold.data;
-                for (arm, sum) in self.arms.iter().zip(&mut outside) {
-                    let inside = |collider, body| arm.hand.has(collider, body, &self.objects);
-                    let sign = match (
-                        inside(pair.collider1, data.rigid_body1),
-                        inside(pair.collider2, data.rigid_body2),
-                    ) {
-                        (true, false) => -1.0,
-                        (false, true) => 1.0,
-                        _ => continue,
-                    };
-                    for contact in &data.solver_contacts {
-                        let (a, b) = data.solver_contact_world_points(contact, &self.physics.bodies);
-                        let point = convert::to_vector((a + b) * 0.5);
-                        let Some(solved) = manifold.points.get(contact.contact_id[0] as usize) else {
-                            continue;
-                        };
-                        let impulse = data.normal * solved.data.impulse + solved.data.warmstart_tangent_world;
-                        let force = convert::to_vector(impulse) * (sign / DT);
-                        sum.force += force;
-                        sum.torque += point.cross(&force);
-                    }
+        let mut outside = vec![Outside::default(); self.arms().count()];
+        for Touch { colliders, bodies, point, force, .. } in &self.touches {
+            for (arm, sum) in self.arms().zip(&mut outside) {
+                let inside = |i: usize| arm.hand.has(colliders[i], bodies[i], &self.objects);
+                match (inside(0), inside(1)) {
+                    (true, false) => sum.add(&-force, point),
+                    (false, true) => sum.add(force, point),
+                    _ => {}
                 }
             }
         }
         outside
     }
+
+    /// The forces between a robot and other things in the last step, N.
+    pub fn collisions(&self, robot: usize) -> impl Iterator<Item = (Touched, f64)> + '_ {
+        self.touches.iter().filter_map(move |touch| {
+            let own = touch.colliders.map(|collider| self.robots[robot].has(collider));
+            let other = match own {
+                [true, false] => touch.colliders[1],
+                [false, true] => touch.colliders[0],
+                _ => return None,
+            };
+            let object = self.objects.iter().position(|object| object.colliders.contains(&other));
+            let person = || self.people.iter().position(|person| person.colliders.contains(&other));
+            let what = match (object, person()) {
+                (Some(object), _) => Touched::Body(object),
+                (None, Some(person)) => Touched::Person(person),
+                (None, None) => Touched::Room,
+            };
+            Some((what, touch.force.norm()))
+        })
+    }
+
+    /// The distance between the parts of a robot that touch and a person, m; 0 where they touch.
+    pub fn distance(&self, robot: usize, person: usize) -> Option<f64> {
+        let shape = |collider: ColliderHandle| self.physics.colliders.get(collider);
+        let own = self.robots[robot].colliders().filter_map(shape);
+        let theirs = &self.people.get(person)?.colliders;
+        own.flat_map(|own| theirs.iter().filter_map(move |their| Some((own, shape(*their)?))))
+            .filter_map(|(a, b)| {
+                let nearest = query::distance(a.position(), a.shape(), b.position(), b.shape());
+                nearest.ok().map(|nearest| nearest.distance)
+            })
+            .min_by(f64::total_cmp)
+    }
+}
+
+/// The table's force on an object.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Contact {
+    /// Normal force, N.
+    pub normal: f64,
+    /// Friction, root frame, N.
+    pub tangential: Vector3<f64>,
+}
+
+/// What a robot touches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Touched {
+    /// The table or the floor, or another robot.
+    Room,
+    /// A body, by its index.
+    Body(usize),
+    /// A person, by their index.
+    Person(usize),
 }

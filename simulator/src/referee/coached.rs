@@ -1,17 +1,115 @@
-//! What each of the coach's actions changed: compares executed paths before and after it, aligned in phase.
+//! The probe `coaching`: what each of the coach's actions changed: compares executed paths before and after it, aligned in phase.
 
+use armarium_values::report::Requirement::{AtLeast, AtMost};
+use armarium_values::report::{Block, Cell, Figure, Section, Table};
 use nalgebra::Vector3;
+use serde::Serialize;
+use serde_json::Value;
 
 use super::Mark;
-use super::figures::{RunLog, ns};
 use super::log::Record;
 use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
-use super::report::CoachingFigures;
+use super::probes::{Probe, figure};
+use super::run::{Run, ns};
 use crate::coach::{ActionKind, EventKind, PhaseTracker};
 use crate::world::{CoachingAction, Gesture};
 
 /// Time that the motion needs to reach its own speed, after its start and after the coach has gone, s.
 const RECOVERY_S: f64 = 1.0;
+
+pub(super) const PROBE: Probe = Probe {
+    name: "coaching",
+    measure: |run| {
+        let actions = run.coaching();
+        (!actions.is_empty()).then(|| serde_json::to_value(actions).ok())?
+    },
+    asks,
+    section: |_, own| {
+        let note = "How far each coaching moved the motion, and what stayed when the coach had gone.";
+        vec![Section::new("Coaching", note, vec![Block::Table(table(own))])]
+    },
+};
+
+/// What one action of the coach changed. Figures that its kind does not have, or that were not complete when the
+/// run ended, are absent.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct CoachingFigures {
+    /// Index of the step of the world's coaching, from 0.
+    step: usize,
+    /// `push`, `fist`, `point_one`, `point_two` or `open_hand`.
+    kind: &'static str,
+    /// When it began, s of the run.
+    at_s: f64,
+    /// The coached phase, 0 to 1.
+    phase: f64,
+    /// Unit vector of the intended shift, root frame; `None` for the open hand.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    direction: Option<[f64; 3]>,
+    /// Signed shift of the executed path at the coached phase along the direction, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    displacement_m: Option<f64>,
+    /// Angle between the horizontal shift at the coached phase and the direction, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    direction_error_deg: Option<f64>,
+    /// The same shift two cycles after the coach has gone, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    retained_m: Option<f64>,
+    /// RMS shift of the phases more than a quarter period away, m; not for `point_one`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    far_side_rms_m: Option<f64>,
+    /// Lowest frequency while the hand was near, over the learned one; `None` for pushes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    slowed_to: Option<f64>,
+}
+
+fn asks(own: &Value) -> Vec<Figure> {
+    let actions = own.as_array().map_or(&[][..], Vec::as_slice);
+    actions.iter().enumerate().flat_map(|(i, action)| asks_of_one(i, action)).collect()
+}
+
+fn asks_of_one(index: usize, action: &Value) -> Vec<Figure> {
+    let kind = action.get("kind").and_then(Value::as_str).unwrap_or("push");
+    if kind == "open_hand" {
+        return Vec::new();
+    }
+    let group = format!("Coaching {}: {}", index + 1, kind.replace('_', " "));
+    let of = |name, key, unit, requirement| figure((&group, name), action, key, unit, requirement);
+    let push = kind == "push";
+    let moved = of("moved", ("displacement_m", 1e3), ("mm", 1), AtLeast(if push { 20.0 } else { 10.0 }));
+    let number = |key: &str| action.get(key).and_then(Value::as_f64);
+    let kept = number("retained_m").zip(number("displacement_m")).map(|(kept, all)| kept / all * 100.0);
+    let kept = Figure { value: kept, ..of("kept after two cycles", ("", 1.0), ("%", 0), AtLeast(80.0)) };
+    let mut figures = vec![moved, kept];
+    figures.push(if push {
+        of("off the push's direction", ("direction_error_deg", 1.0), ("°", 1), AtMost(30.0))
+    } else {
+        of("slowed to", ("slowed_to", 100.0), ("%", 0), AtMost(70.0))
+    });
+    if kind != "point_one" {
+        figures.push(of("far side moved, RMS", ("far_side_rms_m", 1e3), ("mm", 1), AtMost(5.0)));
+    }
+    figures
+}
+
+/// One row for each of the coach's actions.
+fn table(own: &Value) -> Table {
+    let titles = ["Coach", "#At", "#Moved the motion", "#Kept", "#Far side, RMS", "#Slowed to"];
+    let mut table = Table::new(&titles);
+    let row = |action: &Value| {
+        let number = |key: &str, factor: f64| action.get(key).and_then(Value::as_f64).map(|v| v * factor);
+        let mm = |key: &str| Cell::optional(number(key, 1e3), "mm", 1);
+        vec![
+            Cell::Text(action["kind"].as_str().unwrap_or_default().replace('_', " ")),
+            Cell::optional(number("at_s", 1.0), "s", 1),
+            mm("displacement_m"),
+            mm("retained_m"),
+            mm("far_side_rms_m"),
+            Cell::optional(number("slowed_to", 1e2), "%", 0),
+        ]
+    };
+    table.rows = own.as_array().map_or(&[][..], Vec::as_slice).iter().map(row).collect();
+    table
+}
 
 /// One period of the motion before all coaching, and the newest period in phase with it.
 struct Uncoached {
@@ -19,9 +117,9 @@ struct Uncoached {
     newest: Period,
 }
 
-impl RunLog<'_> {
+impl Run<'_> {
     /// One entry for each action that began.
-    pub(super) fn coaching(&self) -> Vec<CoachingFigures> {
+    fn coaching(&self) -> Vec<CoachingFigures> {
         let began = self.log.coach.iter().filter(|e| e.event == EventKind::Began);
         let mut uncoached = None;
         began.filter_map(|e| self.action(e.step, e.kind, ns(e.t), &mut uncoached)).collect()

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
+use crate::physics::Touched;
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 
 /// Largest number of samples: 20 minutes. Later ones are dropped, and `truncated` is set.
@@ -39,6 +40,12 @@ pub struct TruthLog {
     pub records: Vec<Record>,
     /// The places of the objects that were not in question, by their index: when each moved, and the pose of its middle.
     pub moved: BTreeMap<usize, Vec<(u64, Isometry3<f64>)>>,
+    /// Where each object was at first and at last, by its index.
+    ends: BTreeMap<usize, [Isometry3<f64>; 2]>,
+    /// The largest force of the robot on each thing, N.
+    pub(super) strongest: BTreeMap<Touched, f64>,
+    /// The smallest distance to each person, m.
+    pub(super) nearest: Vec<f64>,
     /// The coach's events.
     pub coach: Vec<ActionEvent>,
     /// The truth about every rendered frame.
@@ -64,6 +71,17 @@ impl TruthLog {
             tangential: s.contact.tangential.norm(),
             tool: s.coach.tool.map(|t| t.translation.vector),
         });
+        for (object, pose) in s.objects.iter().enumerate() {
+            self.ends.entry(object).or_insert([*pose; 2])[1] = *pose;
+        }
+        for (what, force) in &s.collisions {
+            let strongest = self.strongest.entry(*what).or_default();
+            *strongest = strongest.max(*force);
+        }
+        self.nearest.resize(s.people.len().max(self.nearest.len()), f64::INFINITY);
+        for (nearest, distance) in self.nearest.iter_mut().zip(&s.people) {
+            *nearest = nearest.min(*distance);
+        }
         for (object, pose) in s.objects.iter().enumerate().filter(|(object, _)| s.object != Some(*object)) {
             let places = self.moved.entry(object).or_default();
             let near =
@@ -103,6 +121,11 @@ impl TruthLog {
         let places = self.moved.get(&object).map_or(&[][..], Vec::as_slice);
         let place = || places.iter().rev().find(|(at, _)| *at <= stamp_ns);
         in_question.map(|(_, pose)| pose).or_else(|| place().map(|(_, pose)| *pose))
+    }
+
+    /// Where an object was at the beginning and at the end.
+    pub(super) fn begin_and_end(&self, object: usize) -> Option<(Isometry3<f64>, Isometry3<f64>)> {
+        self.ends.get(&object).map(|[begin, end]| (*begin, *end))
     }
 
     /// The last record at or before a time.

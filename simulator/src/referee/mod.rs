@@ -1,31 +1,34 @@
 //! The referee: sees the truth, receives marks when the program's phases begin and end, and judges.
 //!
-//! It keeps a bounded log ([`TruthLog`]) and computes every figure from it by a pure function
-//! ([`figures::compute`]), so that the figures can be recomputed from a recording. It never tells the robot
-//! anything.
+//! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
+//! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
+//! `coached`, `bodies`, `people`; `probes` is their list. The referee never tells the robot anything.
 
+mod bodies;
 mod coached;
-pub mod figures;
+mod force;
 mod gestures;
+mod grasp;
+mod imitation;
 mod log;
 mod paths;
-mod report;
-mod requirements;
-mod sections;
+mod people;
+mod probes;
+mod run;
+#[cfg(test)]
+mod tests;
 mod wiped;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-pub use log::{Record, TruthLog};
-pub use report::{
-    CoachingFigures, ForceFigures, GestureFigures, GraspFigures, ImitationFigures, RefereeReport,
-};
-pub use requirements::judged_figures;
-pub use wiped::WipedCells;
-
 use armarium_values::report::Section;
+pub use log::{Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
+pub use probes::judged_figures;
+use run::Run;
+use serde_json::{Map, Value};
+pub use wiped::WipedCells;
 
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 use crate::world::World;
@@ -85,6 +88,22 @@ struct Notes {
     seen: Vec<(u64, Option<String>)>,
 }
 
+impl Notes {
+    fn run(&self) -> Run<'_> {
+        Run::new(&self.world, &self.log, &self.marks, &self.seen)
+    }
+}
+
+/// The figures of a run: what each probe measured, by its name. `seen` is what vision recognised in the frames.
+pub fn measure(
+    world: &World,
+    log: &TruthLog,
+    marks: &[(u64, Mark)],
+    seen: &[(u64, Option<String>)],
+) -> Map<String, Value> {
+    probes::measure(&Run::new(world, log, marks, seen))
+}
+
 impl Referee {
     /// The referee of a world.
     pub fn new(world: &World) -> Self {
@@ -114,31 +133,29 @@ impl Referee {
         }
     }
 
-    /// All figures so far; sections without data are absent.
-    pub fn report(&self) -> RefereeReport {
+    /// All figures so far, by the names of their probes; those without data are absent.
+    pub fn report(&self) -> Value {
         let notes = self.notes();
-        figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen)
+        measure(&notes.world, &notes.log, &notes.marks, &notes.seen).into()
     }
 
     /// The report's sections about the run; the figures with their requirements come first. Sections without data
     /// are empty.
     pub fn sections(&self) -> Vec<Section> {
         let notes = self.notes();
-        let report = figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen);
-        let cells = figures::wiped(&notes.world, &notes.log, &notes.marks);
-        sections::sections(&notes.world, &notes.log, &notes.marks, &report, cells.as_ref())
+        let run = notes.run();
+        probes::sections(&run, &probes::measure(&run).into())
     }
 
     /// The cells of the table that had to be cleaned, and those that were; `None` before adaptation has ended.
     pub fn wiped(&self) -> Option<WipedCells> {
-        let notes = self.notes();
-        figures::wiped(&notes.world, &notes.log, &notes.marks)
+        wiped::wiped(&self.notes().run())
     }
 
-    /// The object that is judged, by its index in the world's `objects`; see [`figures::judged_object`].
+    /// The object that is judged, by its index among the world's bodies: the one in the hand when it closed last; where nothing
+    /// was marked so, the one in question at the end.
     pub fn judged_object(&self) -> Option<usize> {
-        let notes = self.notes();
-        figures::judged_object(&notes.log, &notes.marks)
+        self.notes().run().judged_object()
     }
 
     /// A copy of the whole log, for plots.

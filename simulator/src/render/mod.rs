@@ -8,6 +8,7 @@
 //! centre meets first, so that both cameras agree to a fraction of a pixel. Start reading at [`render`], then
 //! `raster`.
 
+mod depth;
 mod faces;
 pub mod hand;
 mod noise;
@@ -24,6 +25,7 @@ mod tests;
 use armarium_visionx::DepthImage;
 use nalgebra::{Isometry3, Vector3};
 
+pub use depth::DepthSensor;
 pub use noise::SensorNoise;
 use raster::Canvas;
 pub use scene::{Background, Bump, DirtTexture, Geometry, Rendering, Scene, Shape, Viewpoint};

@@ -35,6 +35,11 @@ impl SensorNoise {
         Self { seed, tile }
     }
 
+    /// The seed that determines it.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
     /// Adds the noise of one frame of one camera. `eye` is the camera's number.
     pub fn apply(&self, image: &mut RgbImage, frame: u64, eye: u64) {
         if self.tile.is_empty() {

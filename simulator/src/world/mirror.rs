@@ -40,6 +40,16 @@ impl World {
             flip(&mut object.at[0]);
             flip(&mut object.yaw_deg);
         }
+        for body in &mut self.bodies {
+            body.mirror();
+        }
+        for person in self.actors.iter_mut().filter_map(|actor| actor.person.as_mut()) {
+            person.mirror();
+        }
+        for robot in &mut self.robots {
+            flip(&mut robot.at[0]);
+            flip(&mut robot.yaw_deg);
+        }
         if let Some(shown) = &mut self.coach.demonstration {
             flip(&mut shown.size[0]);
             flip(&mut shown.swipe.from[0]);

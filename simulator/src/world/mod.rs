@@ -6,8 +6,11 @@
 //! what joins several values is looked at when each is right by itself. This module does not simulate anything.
 
 mod agents;
+mod bodies;
 mod coach;
 mod mirror;
+mod person;
+mod physics;
 #[cfg(test)]
 mod tests;
 
@@ -18,23 +21,36 @@ use armarium_robot::description::{self, default_robot, shipped_robots};
 use armarium_robot::{Limb, Model};
 use armarium_source::yaml::Node;
 use armarium_source::{Finding, Findings, Rule, Source, choice, code, form};
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
 
 use crate::error::SimulationError;
 
 pub use agents::{AgentSpec, CoverSpec};
 pub use armarium_visionx::Gesture;
+pub use bodies::{BodyMotion, BodyShape, BodySpec, ContentsSpec, HingeSpec, Place, SlideSpec, Softness};
 pub use coach::{
     CoachSpec, CoachingAction, CoachingStep, Demonstration, PathShape, Push, Show, Swipe, ToolSpec,
 };
+
+pub use person::{ActorSpec, PersonAction, PersonSpec, Side};
+pub use physics::{DepthSpec, Imperfections, Physics};
 
 /// Standard gravity, m/s², along the world's negative z.
 pub const GRAVITY: f64 = 9.81;
 /// Most objects; each costs physics.
 const MAX_OBJECTS: usize = 8;
+/// Most bodies besides them.
+const MAX_BODIES: usize = 64;
+/// Most robots besides the first; each costs physics and rendering.
+const MAX_ROBOTS: usize = 4;
+/// Most people; each costs physics and rendering.
+const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
+/// The referee's probes.
+pub(crate) const PROBES: [&str; 8] =
+    ["grasp", "imitation", "force", "wiped_fraction", "gestures", "coaching", "bodies", "people"];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
 
@@ -56,14 +72,25 @@ form! {
         pub name as "world": String = "kitchen".into(), Rule::NAME;
         /// The robot and its sensors' noise.
         pub robot: RobotSpec = RobotSpec::default();
+        /// How far robots and cameras are from ideal ones.
+        pub physics: Physics = Physics::default();
         /// The stereo pair on the head.
         pub camera: CameraSpec = CameraSpec::default();
         /// The table.
         pub table: TableSpec = TableSpec::default();
         /// Objects that lie on the table; an empty list is a table without a sponge.
         pub objects: Vec<ObjectSpec> = vec![ObjectSpec::default()], Rule::most(MAX_OBJECTS);
+        /// Other bodies: rigid ones, those with hinges, cups and trays.
+        pub bodies: Vec<BodySpec> = Vec::new(), Rule::most(MAX_BODIES);
+        /// Robots besides the first. One that nobody commands stands still.
+        pub robots: Vec<RobotSpec> = Vec::new(), Rule::most(MAX_ROBOTS);
         /// The person who demonstrates and coaches.
         pub coach: CoachSpec = CoachSpec::default();
+        /// People who act: the coach, and others who keep to a schedule.
+        pub actors: Vec<ActorSpec> = Vec::new(), Rule::most(MAX_ACTORS);
+        /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `bodies`,
+        /// `people`; by default each that finds something.
+        pub probes: Vec<String> = Vec::new(), Rule { most: MAX_LIST, ..Rule::NAME };
         /// Sensors that are broken.
         pub faults: Faults = Faults::default();
         /// Accidents.
@@ -84,6 +111,10 @@ form! {
         pub model: String = default_robot().into(), Rule { most: 1000, ..Rule::NAME };
         /// The arm that wipes: a group of the robot, or a word of its name such as `right`; none for its first arm.
         pub arm: Option<String> = None, Rule::NAME;
+        /// Where its root is on the floor. The first robot's is the world's origin.
+        pub at: [f64; 2] = [0.0; 2], within(5.0);
+        /// How far it is turned about the vertical, degrees.
+        pub yaw_deg: f64 = 0.0, Rule::degrees(361.0, "yaw");
         /// Standard deviations of its sensors.
         pub noise: NoiseSpec = NoiseSpec::default();
     }
@@ -119,7 +150,13 @@ form! {
         /// Standard deviation of each pixel's channels, grey levels of 255.
         pub noise: f64 = 2.0, Rule::number("", 0.0, 64.0);
         /// From the exposure of a frame to its arrival; its stamp is that of the exposure.
-        pub latency: f64 = 0.0, Rule::number("s", 0.0, 1.0);
+        pub latency: f64 = 0.03, Rule::number("s", 0.0, 1.0);
+        /// Standard deviation of the latency, s.
+        pub jitter: f64 = 0.003, Rule::number("s", 0.0, 0.1);
+        /// The share of frames that are lost.
+        pub dropped: f64 = 0.01, Rule::number("", 0.0, 1.0);
+        /// How depth errs; `none` is a camera without depth.
+        pub depth: Option<DepthSpec> = Some(DepthSpec::default()), Rule::OR_NONE;
         /// How far the true camera is from where the robot believes it to be, in the camera's frame.
         pub mounting_error: MountingError = MountingError::default();
     }
@@ -132,6 +169,10 @@ form! {
         pub position: [f64; 3] = [0.0; 3], within(0.2);
         /// Rotation vector, degrees, camera frame.
         pub rotation_deg: [f64; 3] = [0.0; 3], Rule::degrees(45.0, "rotation");
+        /// Length of a further shift in a direction that the seed draws, m.
+        pub distance: f64 = 0.01, Rule::number("m", 0.0, 0.2);
+        /// Angle of a further rotation about an axis that the seed draws, degrees.
+        pub angle_deg: f64 = 2.0, Rule::degrees(45.0, "angle");
     }
 }
 
@@ -280,6 +321,16 @@ impl RobotSpec {
         description::find(&self.model).map(|found| found.model)
     }
 
+    pub(crate) fn model(&self) -> Result<Arc<Model>, SimulationError> {
+        self.load().map_err(|findings| SimulationError::Robot { robot: self.model.clone(), findings })
+    }
+
+    /// Its root in the world.
+    pub fn world_from_root(&self) -> Isometry3<f64> {
+        let [x, y] = self.at;
+        Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * self.yaw_deg.to_radians())
+    }
+
     /// The arm that wipes; `None` when the robot has no such arm.
     pub fn arm<'m>(&self, model: &'m Model) -> Option<&'m Limb> {
         let Some(wanted) = &self.arm else { return model.arms().next() };
@@ -329,8 +380,7 @@ impl World {
     /// # Errors
     /// [`SimulationError::Robot`] with everything that is wrong with the robot's files.
     pub fn model(&self) -> Result<Arc<Model>, SimulationError> {
-        let robot = || self.robot.model.clone();
-        self.robot.load().map_err(|findings| SimulationError::Robot { robot: robot(), findings })
+        self.robot.model()
     }
 
     /// The middle of a nominally grasped object in the frame of the TCP of the arm that works, m; 0 where it has no hand.
@@ -379,8 +429,29 @@ impl World {
         sponge.or_else(|| (!self.objects.is_empty()).then_some(0))
     }
 
+    /// The people besides the coach.
+    pub fn people(&self) -> impl Iterator<Item = &PersonSpec> {
+        self.actors.iter().filter_map(|actor| actor.person.as_ref())
+    }
+
+    /// The coach among the actors is the world's coach.
+    fn find_coach(&mut self, root: &Node, findings: &mut Findings) {
+        let mut coaches = Vec::new();
+        self.actors.retain_mut(|actor| actor.coach.take().map(|coach| coaches.push(coach)).is_none());
+        if coaches.len() + usize::from(root.get("coach").is_some()) > 1 {
+            let at = root.get("actors").map_or(root.span, |node| node.span);
+            let help = Some("under `coach`, or as one of the `actors`".into());
+            findings.error_help(code::DUPLICATE, at, "there is more than one coach", help);
+        }
+        if let Some(coach) = coaches.pop() {
+            self.coach = coach;
+        }
+    }
+
     /// What can only be judged when all sections are known.
     fn fits(&mut self, root: &Node, findings: &mut Findings) {
+        self.find_coach(root, findings);
+        self.apply_physics(root);
         let place = |list: &str, i: usize, key: &str| {
             root.get(list).and_then(|list| list.items().get(i)).map_or(root.span, |node| node.place(key))
         };
@@ -397,12 +468,46 @@ impl World {
                 findings.error(code::DUPLICATE, place("objects", i, "name"), message);
             }
         }
-        let names: Vec<&str> = self.objects.iter().map(|o| o.name.as_str()).chain(["hand"]).collect();
+        for (i, body) in self.bodies.iter().enumerate() {
+            let before = self.objects.iter().map(|o| &o.name).chain(self.bodies[..i].iter().map(|b| &b.name));
+            if before.into_iter().any(|name| *name == body.name) {
+                let message = format!("two bodies are named `{}`", body.name);
+                findings.error(code::DUPLICATE, place("bodies", i, "name"), message);
+            }
+        }
+        if self.robot.at != [0.0; 2] || self.robot.yaw_deg != 0.0 {
+            let at = root.get("robot").map_or(root.span, |node| node.place("at"));
+            let help = Some("move the others".into());
+            findings.error_help(code::VALUE, at, "the first robot stands at the world's origin", help);
+        }
+        let names: Vec<&str> = (self.objects.iter().map(|o| o.name.as_str()))
+            .chain(self.bodies.iter().map(|b| b.name.as_str()))
+            .chain(["hand"])
+            .collect();
         for (i, disturbance) in self.disturbances.iter().enumerate() {
             if !names.contains(&disturbance.knock.as_str()) {
                 let message = format!("there is no object `{}`", disturbance.knock);
                 let help = Some(format!("known: {}", names.join(", ")));
                 findings.error_help(code::REFERENCE, place("disturbances", i, "knock"), message, help);
+            }
+        }
+        for (i, robot) in self.robots.iter().enumerate() {
+            let mut before = [&self.robot].into_iter().chain(&self.robots[..i]);
+            if before.any(|other| other.name == robot.name) {
+                let message = format!("two robots are named `{}`", robot.name);
+                let help = Some("the first is named under `robot`, by default `local`".into());
+                findings.error_help(code::DUPLICATE, place("robots", i, "name"), message, help);
+            }
+        }
+        for (i, probe) in self.probes.iter().enumerate() {
+            if !PROBES.contains(&probe.as_str()) {
+                let at = root
+                    .get("probes")
+                    .and_then(|list| list.items().get(i))
+                    .map_or(root.span, |node| node.span);
+                let message = format!("there is no probe `{probe}`");
+                let help = Some(format!("known: {}", PROBES.join(", ")));
+                findings.unknown(code::REFERENCE, (at, probe), message, PROBES.into_iter(), help);
             }
         }
         let [x, y] = self.table.center;
@@ -417,7 +522,10 @@ impl World {
                 let help = Some("move `at` or `looks_at`".into());
                 findings.error_help(code::VALUE, node.place("looks_at"), message, help);
             }
-            if agent.name == self.robot.name || self.agents[..i].iter().any(|a| a.name == agent.name) {
+            let robots = [&self.robot].into_iter().chain(&self.robots);
+            let mut robots = robots.map(|robot| &robot.name);
+            if robots.any(|name| *name == agent.name) || self.agents[..i].iter().any(|a| a.name == agent.name)
+            {
                 let message = format!("two agents are named `{}`", agent.name);
                 let help = Some("the robot is an agent too: `robot: {name: ..}`".into());
                 findings.error_help(code::DUPLICATE, node.place("name"), message, help);

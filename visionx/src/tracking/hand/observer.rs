@@ -79,6 +79,10 @@ impl HandObserver {
     /// Processes a frame; returns the hand in it, `None` when there is none or when the images do not have
     /// the calibration's size.
     pub fn update(&mut self, frame: &StereoFrame) -> Option<HandObservation> {
+        // A depth camera has no depth along the hand's outline.
+        let whole = frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0));
+        let whole = whole.map(|depth| StereoFrame { depth: Some(depth.filled()), ..frame.clone() });
+        let frame = whole.as_ref().unwrap_or(frame);
         if !self.calibration.fits(frame) {
             return None;
         }

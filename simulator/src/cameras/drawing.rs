@@ -1,0 +1,233 @@
+//! Everything that a camera could see, as shapes for the renderer: the room, the table with its dirt, bodies, robots, and the
+//! coach with tool and hand. It knows no camera.
+
+use std::sync::Arc;
+
+use armarium_robot::{Kinematics, LinkId, Visual};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+
+use super::NO_CAMERA;
+use crate::coach::CoachState;
+use crate::person;
+use crate::render::hand::{HandPose, hand_shapes};
+use crate::render::robot::{link_shapes, robot_shapes};
+use crate::render::{Bump, DirtTexture, Geometry, Scene, Shape};
+use crate::start::{self, RobotStart};
+use crate::table::{DirtGrid, THICKNESS, TableTop};
+use crate::world::{CoverSpec, World};
+
+/// Half the edges of the coach's tool, m.
+pub const TOOL_HALF: Vector3<f64> = Vector3::new(0.045, 0.03, 0.02);
+/// Colour of dirt.
+const DIRT: [u8; 3] = [104, 92, 84];
+/// Radius around the middle of the workspace in which the table is visibly dirty, m.
+const DIRTY_RADIUS: f64 = 0.22;
+
+/// The joints of a robot at one frame, rad (m), in its model's order.
+#[derive(Clone, Copy)]
+pub(crate) struct RobotState<'a> {
+    /// As they are.
+    pub(crate) truth: &'a [f64],
+    /// As the robot senses them.
+    pub(crate) sensed: &'a [f64],
+}
+
+/// The state of the scene at one frame.
+pub(crate) struct SceneState<'a> {
+    pub(crate) stamp_ns: u64,
+    /// The robots, in the world's order.
+    pub(crate) robots: &'a [RobotState<'a>],
+    /// Poses of all bodies.
+    pub(crate) objects: &'a [Isometry3<f64>],
+    /// Poses of the parts of all people.
+    pub(crate) people: &'a [Vec<Isometry3<f64>>],
+    pub(crate) coach: &'a CoachState,
+    /// Time since the last hand was visible, s.
+    pub(crate) without_hand_s: f64,
+    pub(crate) wiped: &'a DirtGrid,
+}
+
+/// What there is to draw.
+pub(crate) struct Drawing {
+    /// The robots, and where their roots are in the scene.
+    robots: Vec<(Kinematics, Isometry3<f64>)>,
+    fixed: Vec<Shape>,
+    table_half: Vector3<f64>,
+    table_pose: Isometry3<f64>,
+    table_color: [u8; 3],
+    bumps: Arc<[Bump]>,
+    dirt: Arc<DirtTexture>,
+    objects: Vec<Vec<Visual>>,
+    /// The parts of each person, each in its own frame.
+    people: Vec<Vec<Visual>>,
+    tool_color: [u8; 3],
+}
+
+impl Drawing {
+    /// The things of a world; `seed` determines where the table is dirty.
+    pub(crate) fn new(world: &World, robots: &[RobotStart], table: &TableTop, seed: u64) -> Self {
+        let [hx, hy] = table.half();
+        let robots = robots.iter().map(|robot| (Kinematics::new(&robot.model), robot.room_from_root));
+        Self {
+            robots: robots.collect(),
+            fixed: legs(table).into_iter().chain(world.covers.iter().map(board)).collect(),
+            table_half: Vector3::new(hx, hy, THICKNESS / 2.0),
+            table_pose: table.root_from_top() * Translation3::new(0.0, 0.0, -THICKNESS / 2.0),
+            table_color: world.table.color,
+            bumps: table.bumps().to_vec().into(),
+            dirt: Arc::new(blotches(world, table, seed)),
+            objects: start::bodies(world, table).iter().map(|body| body.spec.parts()).collect(),
+            people: world.people().map(person::parts).collect(),
+            tool_color: world.coach.tool.color,
+        }
+    }
+
+    /// Number of its bodies.
+    pub(super) fn bodies(&self) -> usize {
+        self.objects.len()
+    }
+
+    /// Number of parts of each person.
+    pub(super) fn people(&self) -> impl Iterator<Item = usize> + '_ {
+        self.people.iter().map(Vec::len)
+    }
+
+    /// Number of joints of each robot.
+    pub(super) fn joints(&self) -> impl Iterator<Item = usize> + '_ {
+        self.robots.iter().map(|(kinematics, _)| kinematics.model().joints().len())
+    }
+
+    /// Pose of a robot's link in the scene that was built last; for none, a place where a head might be.
+    pub(crate) fn link(&self, robot: usize, link: Option<LinkId>) -> Isometry3<f64> {
+        let (kinematics, scene_from_root) = &self.robots[robot];
+        let pose = link.map_or_else(|| Translation3::from(NO_CAMERA).into(), |link| *kinematics.pose(link));
+        scene_from_root * pose
+    }
+
+    /// Moves the robots to where they are.
+    pub(crate) fn update(&mut self, robots: &[RobotState<'_>]) {
+        for ((kinematics, _), state) in self.robots.iter_mut().zip(robots) {
+            kinematics.update(state.truth);
+        }
+    }
+
+    /// All shapes at one instant.
+    pub(crate) fn scene(&mut self, view: &SceneState<'_>) -> Scene {
+        self.update(view.robots);
+        self.clean(view.wiped);
+        let mut shapes: Vec<Shape> = Vec::new();
+        for (kinematics, scene_from_root) in &self.robots {
+            shapes.extend(robot_shapes(kinematics, scene_from_root));
+        }
+        shapes.extend(self.fixed.iter().cloned());
+        shapes.push(Shape {
+            geometry: Geometry::Tabletop {
+                half: self.table_half,
+                bumps: Arc::clone(&self.bumps),
+                dirt: Some(Arc::clone(&self.dirt)),
+            },
+            scene_from_shape: self.table_pose,
+            color: self.table_color,
+        });
+        for (parts, pose) in self.objects.iter().zip(view.objects) {
+            shapes.extend(link_shapes(parts, pose));
+        }
+        for (parts, poses) in self.people.iter().zip(view.people) {
+            let parts = parts.iter().zip(poses);
+            shapes.extend(parts.flat_map(|(part, pose)| link_shapes(std::slice::from_ref(part), pose)));
+        }
+        if let Some(pose) = &view.coach.tool {
+            shapes.extend(tool(pose, self.tool_color));
+        }
+        if let Some(hand) = &view.coach.hand {
+            shapes.extend(hand_shapes(&HandPose::of(hand.gesture), &hand.root_from_hand));
+        }
+        Scene::new(shapes)
+    }
+
+    /// Removes the dirt where the table has been wiped.
+    fn clean(&mut self, wiped: &DirtGrid) {
+        let stale = wiped.cells().iter().zip(&self.dirt.cells).any(|(w, d)| *w && *d > 0);
+        if stale {
+            let dirt = Arc::make_mut(&mut self.dirt);
+            for (cell, wiped) in dirt.cells.iter_mut().zip(wiped.cells()) {
+                if *wiped {
+                    *cell = 0;
+                }
+            }
+        }
+    }
+}
+
+fn legs(table: &TableTop) -> Vec<Shape> {
+    let [hx, hy] = table.half();
+    let mut legs = Vec::new();
+    for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
+        let corner = Point3::new(sx * (hx - 0.05), sy * (hy - 0.05), -THICKNESS);
+        let top = table.root_from_top() * corner;
+        let half_length = (top.z / 2.0).max(0.01);
+        legs.push(Shape {
+            geometry: Geometry::Cylinder { radius: 0.02, half_length },
+            scene_from_shape: Isometry3::translation(top.x, top.y, half_length),
+            color: [90, 90, 94],
+        });
+    }
+    legs
+}
+
+fn board(cover: &CoverSpec) -> Shape {
+    Shape {
+        geometry: Geometry::Box { half: Vector3::from(cover.size) / 2.0 },
+        scene_from_shape: cover.root_from_cover(),
+        color: cover.color,
+    }
+}
+
+/// The coach's block on a grey stick.
+fn tool(pose: &Isometry3<f64>, color: [u8; 3]) -> [Shape; 2] {
+    let along = Vector3::new(0.0, 0.6, 0.8);
+    let turn = UnitQuaternion::rotation_between(&Vector3::z(), &along).unwrap_or_default();
+    let stick = Isometry3::from_parts((along * 0.13).into(), turn);
+    [
+        Shape { geometry: Geometry::Box { half: TOOL_HALF }, scene_from_shape: *pose, color },
+        Shape {
+            geometry: Geometry::Cylinder { radius: 0.008, half_length: 0.12 },
+            scene_from_shape: pose * stick,
+            color: [72, 72, 78],
+        },
+    ]
+}
+
+/// Dirt around the workspace: spots of random strength, determined by the seed.
+fn blotches(world: &World, table: &TableTop, seed: u64) -> DirtTexture {
+    use rand::{RngExt, SeedableRng};
+    let grid = DirtGrid::new(table);
+    let mut texture = DirtTexture::clean(grid.columns(), grid.rows(), DIRT);
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_d127);
+    let path = crate::coach::CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
+    let [cx, cy] = path.center();
+    let middle = table.root_from_top().inverse() * Point3::new(cx, cy, world.table.height);
+    let [hx, hy] = table.half();
+    for _ in 0..90 {
+        let (angle, distance) = (rng.random::<f64>() * std::f64::consts::TAU, rng.random::<f64>().sqrt());
+        let x = middle.x + DIRTY_RADIUS * distance * angle.cos();
+        let y = middle.y + DIRTY_RADIUS * distance * angle.sin();
+        let radius = 0.012 + 0.03 * rng.random::<f64>();
+        let strength = 60.0 + 120.0 * rng.random::<f64>();
+        for row in 0..texture.rows {
+            let dy = (row as f64 + 0.5) * crate::table::DIRT_CELL - hy - y;
+            if dy.abs() > radius {
+                continue;
+            }
+            for column in 0..texture.columns {
+                let dx = (column as f64 + 0.5) * crate::table::DIRT_CELL - hx - x;
+                let falloff = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+                if falloff > 0.0 {
+                    let cell = &mut texture.cells[row * texture.columns + column];
+                    *cell = (*cell).max((strength * falloff.sqrt()) as u8);
+                }
+            }
+        }
+    }
+    texture
+}

@@ -1,0 +1,303 @@
+//! A person in the scene: what they want at each instant, from their schedule, and how their body follows their hands.
+//!
+//! A person does not know the robot; their hands feel what touches them, as the physics moves them by a spring. Each part is a
+//! solid: legs, trunk, head, upper arms, forearms and hands. This module has no physics and draws nothing.
+
+use std::f64::consts::{PI, TAU};
+
+use armarium_robot::{Geometry, Visual};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use crate::coach::minimum_jerk;
+use crate::render::hand::SKIN;
+use crate::world::{PersonAction, PersonSpec};
+
+/// Time from the end of an action to the beginning of the next, and its standard deviation, s.
+const REACTION: [f64; 2] = [0.2, 0.04];
+/// Colour of the legs.
+const TROUSERS: [u8; 3] = [58, 60, 68];
+/// Time constant of the tremor, s.
+const TREMOR_S: f64 = 0.05;
+/// How often a hand waves, Hz, and how far to each side, m.
+const WAVE: (f64, f64) = (1.5, 0.12);
+/// Radius of a hand, m.
+pub const HAND_RADIUS: f64 = 0.05;
+
+/// Lengths of a body, all as shares of its height.
+const HIP: f64 = 0.50;
+const SHOULDER: f64 = 0.80;
+const HALF_SHOULDERS: f64 = 0.11;
+const UPPER_ARM: f64 = 0.17;
+const FOREARM: f64 = 0.16;
+
+/// What a person wants at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Posture {
+    /// Where they stand: on the floor, y ahead.
+    pub room_from_feet: Isometry3<f64>,
+    /// Where their hands want to be, right and left, m.
+    pub hands: [Point3<f64>; 2],
+}
+
+impl Posture {
+    /// Standing where the schedule begins, with hanging arms.
+    pub fn standing(spec: &PersonSpec) -> Self {
+        let [x, y] = spec.at;
+        let room_from_feet =
+            Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * spec.yaw_deg.to_radians());
+        Self { room_from_feet, hands: hanging(&room_from_feet, spec.height) }
+    }
+}
+
+/// A person of a world.
+#[derive(Clone, Debug)]
+pub struct Person {
+    spec: PersonSpec,
+    rng: ChaCha8Rng,
+    /// Index of what they do, since when, s, and in which posture it began.
+    doing: Option<(usize, f64, Posture)>,
+    /// When they begin the next.
+    next_at: f64,
+    next: usize,
+    tremor: [Vector3<f64>; 2],
+    /// Without tremor.
+    posture: Posture,
+}
+
+impl Person {
+    /// A person who begins with their arms hanging down.
+    pub fn new(spec: &PersonSpec, rng: ChaCha8Rng) -> Self {
+        let (tremor, posture) = ([Vector3::zeros(); 2], Posture::standing(spec));
+        Self { spec: spec.clone(), rng, doing: None, next_at: 0.0, next: 0, tremor, posture }
+    }
+
+    /// What they want at `t` s, `dt` s after the last step.
+    pub fn step(&mut self, t: f64, dt: f64) -> Posture {
+        if self.doing.is_none() && t >= self.next_at && self.next < self.spec.does.len() {
+            self.doing = Some((self.next, t, self.posture));
+        }
+        if let Some((index, since, from)) = self.doing {
+            let action = self.spec.does[index].clone();
+            let over = self.act(&action, &from, t - since);
+            if over {
+                self.doing = None;
+                let [mean, deviation] = REACTION;
+                self.next_at = t + (mean + deviation * self.rng.sample::<f64, _>(StandardNormal)).max(0.0);
+                self.next = index + 1;
+                if self.spec.repeats && self.next == self.spec.does.len() {
+                    self.next = 0;
+                }
+            }
+        }
+        let Posture { room_from_feet, mut hands } = self.posture;
+        if self.spec.tremor > 0.0 {
+            let kept = (-dt / TREMOR_S).exp();
+            for (hand, tremor) in hands.iter_mut().zip(&mut self.tremor) {
+                let shock = Vector3::from_fn(|_, _| self.rng.sample::<f64, _>(StandardNormal));
+                *tremor = *tremor * kept + shock * (self.spec.tremor * (1.0 - kept * kept).sqrt());
+                *hand += *tremor;
+            }
+        }
+        Posture { room_from_feet, hands }
+    }
+
+    /// Goes on with an action that has lasted for `age` s; returns whether it is over.
+    fn act(&mut self, action: &PersonAction, from: &Posture, age: f64) -> bool {
+        let height = self.spec.height;
+        if let Some([x, y]) = action.walk {
+            return self.walk(&Vector3::new(x, y, 0.0), from, action.speed, age);
+        }
+        let feet = &from.room_from_feet;
+        let side = action.hand.index();
+        let rest = hanging(feet, height)[side];
+        let beside_head = feet * Point3::new(sign(side) * 0.25, 0.20, 0.95 * height);
+        let goal = match action.reach {
+            Some(goal) => Point3::from(goal),
+            None if action.wave => beside_head,
+            None => return age >= action.duration,
+        };
+        let goal = within_reach(feet, height, side, &goal);
+        let moving = |way: f64| (1.9 * way / action.speed).max(0.3);
+        let (there, back) = (moving((goal - from.hands[side]).norm()), moving((rest - goal).norm()));
+        let stays = there + action.duration;
+        self.posture.hands[side] = if age < there {
+            from.hands[side] + (goal - from.hands[side]) * minimum_jerk(age / there)
+        } else if age < stays {
+            let waved = if action.wave { WAVE.1 * (TAU * WAVE.0 * (age - there)).sin() } else { 0.0 };
+            goal + feet.rotation * Vector3::x() * waved
+        } else {
+            goal + (rest - goal) * minimum_jerk(((age - stays) / back).min(1.0))
+        };
+        age >= stays + back
+    }
+
+    /// Turns, walks with hanging arms, and stays turned that way.
+    fn walk(&mut self, to: &Vector3<f64>, from: &Posture, speed: f64, age: f64) -> bool {
+        let begin = from.room_from_feet.translation.vector;
+        let way = to - begin;
+        let length = way.norm();
+        let turning = 0.5;
+        let yaw =
+            if length > 1e-6 { (-way.x).atan2(way.y) } else { from.room_from_feet.rotation.euler_angles().2 };
+        let ahead = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        let turned =
+            from.room_from_feet.rotation.try_slerp(&ahead, (age / turning).min(1.0), 1e-9).unwrap_or(ahead);
+        let duration = 1.5 * length / speed;
+        let share =
+            if duration > 0.0 { minimum_jerk(((age - turning) / duration).clamp(0.0, 1.0)) } else { 1.0 };
+        let feet = Isometry3::from_parts((begin + way * share).into(), turned);
+        // The hands move with the body.
+        let moved = feet * from.room_from_feet.inverse();
+        self.posture = Posture { room_from_feet: feet, hands: from.hands.map(|hand| moved * hand) };
+        age >= turning + duration
+    }
+}
+
+/// 1 for the right side, -1 for the left.
+fn sign(side: usize) -> f64 {
+    if side == 0 { 1.0 } else { -1.0 }
+}
+
+fn shoulder(feet: &Isometry3<f64>, height: f64, side: usize) -> Point3<f64> {
+    feet * Point3::new(sign(side) * HALF_SHOULDERS * height, 0.0, SHOULDER * height)
+}
+
+fn hanging(feet: &Isometry3<f64>, height: f64) -> [Point3<f64>; 2] {
+    let down = (UPPER_ARM + FOREARM) * height * 0.97;
+    [0, 1].map(|side| {
+        shoulder(feet, height, side) + feet.rotation * Vector3::new(0.04 * sign(side), 0.05, -down)
+    })
+}
+
+/// The place nearest to `goal` to which an arm reaches.
+fn within_reach(feet: &Isometry3<f64>, height: f64, side: usize, goal: &Point3<f64>) -> Point3<f64> {
+    let shoulder = shoulder(feet, height, side);
+    let way = goal - shoulder;
+    let most = (UPPER_ARM + FOREARM) * height * 0.98;
+    if way.norm() > most { shoulder + way.normalize() * most } else { *goal }
+}
+
+/// The forms of a person's parts in frames of their own: legs, trunk, head, upper arms, forearms, and last the hands.
+pub fn parts(spec: &PersonSpec) -> Vec<Visual> {
+    let h = spec.height;
+    let part = |shape: Geometry, color| Visual { shape, link_from_shape: Isometry3::identity(), color };
+    let rod = |radius: f64, length: f64, color| part(Geometry::Capsule { radius, length }, color);
+    let leg = || rod(0.075, HIP * h - 0.15, TROUSERS);
+    let upper = || rod(0.045, UPPER_ARM * h, spec.color);
+    let fore = || rod(0.04, FOREARM * h, spec.color);
+    let hand = || part(Geometry::Sphere { radius: HAND_RADIUS }, SKIN);
+    let trunk = rod(0.15, (SHOULDER - HIP) * h - 0.15, spec.color);
+    vec![
+        leg(),
+        leg(),
+        trunk,
+        part(Geometry::Sphere { radius: 0.11 }, SKIN),
+        upper(),
+        upper(),
+        fore(),
+        fore(),
+        hand(),
+        hand(),
+    ]
+}
+
+/// The poses of a person's parts in the order of [`parts`], with their hands where they are.
+pub fn poses(spec: &PersonSpec, feet: &Isometry3<f64>, hands: &[Point3<f64>; 2]) -> Vec<Isometry3<f64>> {
+    let h = spec.height;
+    let upright = |x: f64, z: f64| feet * Isometry3::translation(x, 0.0, z);
+    let arms = [0, 1].map(|side| {
+        let shoulder = shoulder(feet, h, side);
+        let elbow = elbow(feet, h, side, &hands[side]);
+        [along(&shoulder, &elbow), along(&elbow, &hands[side])]
+    });
+    vec![
+        upright(0.09, HIP * h / 2.0),
+        upright(-0.09, HIP * h / 2.0),
+        upright(0.0, (HIP + SHOULDER) / 2.0 * h),
+        upright(0.0, 0.935 * h),
+        arms[0][0],
+        arms[1][0],
+        arms[0][1],
+        arms[1][1],
+        Isometry3::from_parts(hands[0].coords.into(), feet.rotation),
+        Isometry3::from_parts(hands[1].coords.into(), feet.rotation),
+    ]
+}
+
+/// Where the elbow is when the hand is there: it hangs down and outwards.
+fn elbow(feet: &Isometry3<f64>, height: f64, side: usize, hand: &Point3<f64>) -> Point3<f64> {
+    let (a, b) = (UPPER_ARM * height, FOREARM * height);
+    let shoulder = shoulder(feet, height, side);
+    let way = hand - shoulder;
+    let far = way.norm().clamp((a - b).abs() + 1e-3, a + b - 1e-6);
+    let ahead = way.try_normalize(1e-9).unwrap_or_else(|| -Vector3::z());
+    let along = (a * a + far * far - b * b) / (2.0 * far);
+    let off = (a * a - along * along).max(0.0).sqrt();
+    let down = feet.rotation * Vector3::new(0.4 * sign(side), -0.3, -1.0);
+    let across = down - ahead * down.dot(&ahead);
+    let across = across.try_normalize(1e-6).unwrap_or_else(|| feet.rotation * Vector3::y() * -1.0);
+    shoulder + ahead * along + across * off
+}
+
+/// The pose of a rod between two points: z along it.
+fn along(from: &Point3<f64>, to: &Point3<f64>) -> Isometry3<f64> {
+    let way = to - from;
+    let turn = UnitQuaternion::rotation_between(&Vector3::z(), &way)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+    Isometry3::from_parts(nalgebra::center(from, to).coords.into(), turn)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng as _;
+    use std::f64::consts::FRAC_PI_2;
+
+    fn person(spec: &PersonSpec, seed: u64) -> Person {
+        Person::new(spec, ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    #[test]
+    fn a_person_keeps_to_the_schedule_and_differs_by_the_seed_only() {
+        let reach = PersonAction { reach: Some([0.0, 0.95, 1.2]), duration: 1.0, ..PersonAction::default() };
+        let walk = PersonAction { walk: Some([0.0, 1.3]), ..PersonAction::default() };
+        let spec = PersonSpec { does: vec![walk, reach], ..PersonSpec::default() };
+        let run = |seed: u64| -> Vec<Posture> {
+            let mut person = person(&spec, seed);
+            (0..6000).map(|i| person.step(f64::from(i) * 1e-3, 1e-3)).collect()
+        };
+        let postures = run(1);
+        assert_eq!(postures, run(1));
+        assert_ne!(postures[3000], run(2)[3000]);
+        let nearest = |postures: &[Posture]| {
+            postures
+                .iter()
+                .map(|p| (p.hands[0] - Point3::new(0.0, 0.95, 1.2)).norm())
+                .fold(f64::MAX, f64::min)
+        };
+        assert!(nearest(&postures) < 0.01);
+        let end = postures[5999].room_from_feet.translation.vector;
+        assert!((end - Vector3::new(0.0, 1.3, 0.0)).norm() < 1e-9, "{end}");
+        // No hand jumps.
+        for pair in postures.windows(2) {
+            assert!((pair[1].hands[0] - pair[0].hands[0]).norm() < 5e-3);
+        }
+    }
+
+    #[test]
+    fn arms_keep_their_length_wherever_the_hand_is() {
+        let spec = PersonSpec::default();
+        let feet = Isometry3::new(Vector3::new(0.3, 1.0, 0.0), Vector3::z() * FRAC_PI_2);
+        for goal in [Point3::new(0.2, 0.8, 1.2), Point3::new(9.0, 9.0, 9.0), Point3::new(0.3, 1.0, 1.4)] {
+            for side in [0, 1] {
+                let hand = within_reach(&feet, spec.height, side, &goal);
+                let elbow = elbow(&feet, spec.height, side, &hand);
+                let upper = (elbow - shoulder(&feet, spec.height, side)).norm();
+                assert!((upper - UPPER_ARM * spec.height).abs() < 2e-3, "{upper}");
+            }
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! How a world begins: where its robots and bodies are at the start.
+//!
+//! It only reads the world and computes poses; the physics builds what it says.
+
+use std::sync::Arc;
+
+use armarium_robot::{Joint, JointKind, Model};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use crate::error::SimulationError;
+use crate::table::TableTop;
+use crate::world::{BodyShape, BodySpec, GRAVITY, Imperfections, Place, RobotSpec, World};
+
+/// A robot, where it stands, and how.
+#[derive(Clone, Debug)]
+pub struct RobotStart {
+    /// Its name in the world.
+    pub name: String,
+    /// The robot.
+    pub model: Arc<Model>,
+    /// The name of the arm that works.
+    pub arm: String,
+    /// Where its root is in the room; its z points up.
+    pub room_from_root: Isometry3<f64>,
+    /// Positions of all its joints as the robot senses them without noise, rad (m).
+    pub position: Vec<f64>,
+    /// What it truly is, against its model.
+    pub errors: Errors,
+}
+
+/// The errors of one robot's body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Errors {
+    /// Of each joint, its sensed position less the true one, rad (m).
+    pub zeros: Vec<f64>,
+    /// The share of its own weight that is not compensated.
+    pub gravity: f64,
+    /// Play of each turning joint, rad.
+    pub backlash: f64,
+    /// Coulomb friction of a joint over its effort.
+    pub friction: f64,
+    /// Time in which a drive settles to 2 %, s.
+    pub drive_time: f64,
+}
+
+impl RobotStart {
+    /// Where its joints truly are, rad (m).
+    pub fn true_position(&self) -> Vec<f64> {
+        self.position.iter().zip(&self.errors.zeros).map(|(sensed, zero)| sensed - zero).collect()
+    }
+}
+
+impl Errors {
+    /// A robot that is what its model says.
+    pub fn none(joints: usize) -> Self {
+        Self { zeros: vec![0.0; joints], gravity: 0.0, backlash: 0.0, friction: 0.0, drive_time: 0.04 }
+    }
+
+    fn draw(physics: &Imperfections, model: &Model, rng: &mut ChaCha8Rng) -> Self {
+        let sigma = physics.joint_zero_deg.to_radians();
+        let mut zero = |joint: &Joint| match joint.kind {
+            JointKind::Revolute => sigma * rng.sample::<f64, _>(StandardNormal),
+            JointKind::Prismatic => 0.0,
+        };
+        let zeros = model.joints().iter().map(&mut zero).collect();
+        let sign = if rng.random::<bool>() { 1.0 } else { -1.0 };
+        Self {
+            zeros,
+            gravity: sign * physics.gravity_error,
+            backlash: physics.backlash_deg.to_radians(),
+            friction: physics.joint_friction,
+            drive_time: physics.drive_time,
+        }
+    }
+}
+
+/// A body and its pose.
+#[derive(Clone, Debug)]
+pub struct BodyStart {
+    /// The body.
+    pub spec: BodySpec,
+    /// Its middle.
+    pub room_from_body: Isometry3<f64>,
+}
+
+/// A world's robots, whose errors the seed draws; the first in the posture `posture`, rad (m), by default in its own.
+///
+/// # Errors
+/// [`SimulationError`] when one cannot be used.
+pub fn robots(
+    world: &World,
+    seed: u64,
+    posture: Option<Vec<f64>>,
+) -> Result<Vec<RobotStart>, SimulationError> {
+    let mut posture = posture;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xe770_0255);
+    let begin = |spec: &RobotSpec| {
+        let model = spec.model()?;
+        let arm = spec.arm(&model).ok_or(SimulationError::Arm)?.name.clone();
+        let position = posture.take().unwrap_or_else(|| model.start_of(&arm).to_vec());
+        let joints = model.joints().len();
+        if position.len() != joints || !position.iter().all(|q| q.is_finite()) {
+            return Err(SimulationError::Start { expected: joints });
+        }
+        let errors = Errors::draw(&world.physics.0, &model, &mut rng);
+        let (name, room_from_root) = (spec.name.clone(), spec.world_from_root());
+        Ok(RobotStart { name, model, arm, room_from_root, position, errors })
+    };
+    [&world.robot].into_iter().chain(&world.robots).map(begin).collect()
+}
+
+/// A world's bodies: those that the file names, in its order, then what lies in those.
+pub fn bodies(world: &World, table: &TableTop) -> Vec<BodyStart> {
+    let place = |spec: BodySpec| BodyStart { room_from_body: room_from_body(&spec, table), spec };
+    let mut all: Vec<BodyStart> = world.named_bodies().map(place).collect();
+    let inside: Vec<BodyStart> = all.iter().flat_map(contents).collect();
+    all.extend(inside);
+    all
+}
+
+/// A body that lies on the table stands as the table is tilted.
+fn room_from_body(spec: &BodySpec, table: &TableTop) -> Isometry3<f64> {
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
+    let [x, y] = match spec.at {
+        Place::At(at) => return Isometry3::from_parts(Vector3::from(at).into(), yaw),
+        Place::On(at) => at,
+    };
+    // A soft body starts as deep as its weight presses it in.
+    let sink = spec.soft.map_or(0.0, |stiffness| spec.mass * GRAVITY / stiffness);
+    let up = spec.half().z - sink;
+    let surface = Point3::new(x, y, table.plane_height(x, y));
+    let on_table = surface + table.plane_normal().into_inner() * up;
+    if table.is_over(&on_table) {
+        Isometry3::from_parts(on_table.coords.into(), table.root_from_top().rotation * yaw)
+    } else {
+        Isometry3::from_parts(Vector3::new(x, y, up).into(), yaw)
+    }
+}
+
+/// The balls in a cup or a tray, layer by layer above its bottom.
+fn contents(holder: &BodyStart) -> Vec<BodyStart> {
+    let BodyStart { spec, room_from_body } = holder;
+    let Some(contents) = &spec.contents else { return Vec::new() };
+    let half = spec.half();
+    let inside = half.xy().map(|side| (side - spec.wall - contents.diameter / 2.0).max(0.0));
+    let pitch = contents.diameter * 1.05;
+    let across = |side: f64| (side / pitch).floor() as i32;
+    let within = |[x, y]: &[f64; 2]| match spec.shape {
+        BodyShape::Cup => x.hypot(*y) <= inside.x,
+        _ => x.abs() <= inside.x && y.abs() <= inside.y,
+    };
+    let columns = || -across(inside.x)..=across(inside.x);
+    let layer: Vec<[f64; 2]> = (-across(inside.y)..=across(inside.y))
+        .flat_map(|j| columns().map(move |i| [f64::from(i) * pitch, f64::from(j) * pitch]))
+        .filter(within)
+        .collect();
+    let ball = |n: usize| {
+        let [x, y] = layer[n % layer.len()];
+        let height = spec.wall + contents.diameter * (0.5 + 1.02 * (n / layer.len()) as f64);
+        let at = room_from_body * Point3::new(x, y, height - half.z);
+        let spec = BodySpec {
+            name: format!("{}_{}", spec.name, n + 1),
+            shape: BodyShape::Sphere,
+            diameter: contents.diameter,
+            mass: contents.mass,
+            friction: spec.friction,
+            at: Place::At(at.into()),
+            color: contents.color,
+            ..BodySpec::default()
+        };
+        BodyStart {
+            spec,
+            room_from_body: Isometry3::from_parts(at.coords.into(), UnitQuaternion::identity()),
+        }
+    };
+    (0..contents.balls as usize).map(ball).collect()
+}
