@@ -293,7 +293,9 @@ mod tests {
             tangential: 0.0,
             tool: None,
         };
-        TruthLog { records: (0..=end_ms).map(record).collect(), ..TruthLog::default() }
+        let mut log = TruthLog::default();
+        log.records.extend((0..=end_ms).map(record));
+        log
     }
 
     /// An entry that arrived at `at_s` in an agent's memory, observed at that time.
