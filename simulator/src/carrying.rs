@@ -1,5 +1,5 @@
-//! Both arms and a box between their hands: the [physics](crate::physics::carrying), the robot's sensors, and a
-//! referee that alone knows the truth.
+//! Both arms and a box between their hands, with soft pads on them: a world of the [physics](crate::physics), the robot's
+//! sensors, and a referee that alone knows the truth.
 //!
 //! A scene for experiments that are stepped by hand, one millisecond at a time. It has no clock, guard, coach or
 //! camera. The robot senses its joints, and at each palm the force and torque between hand and pad, with noise and
@@ -15,10 +15,54 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use crate::error::PlantError;
-use crate::physics::DT;
-use crate::physics::carrying::{CarriedBox, CarryingPlant, Sides};
 use crate::physics::pad::PadReaction;
-use crate::world::NoiseSpec;
+use crate::physics::{DT, External, Plant};
+use crate::start::{Errors, MountedPad, RobotStart};
+use crate::world::{BodySpec, NoiseSpec, Place, TableSpec, World};
+
+/// A pair of values, right and left.
+pub type Sides<T> = [T; 2];
+
+/// The box, what it stands on, and the hands' pads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CarriedBox {
+    /// Mass, kg.
+    pub mass: f64,
+    /// Width (x, between the hands), depth (y) and height (z), m.
+    pub size: [f64; 3],
+    /// Where its middle is at the start, root frame, m. The table ends under it.
+    pub at: [f64; 3],
+    /// The pads on the hands, right and left.
+    pub pads: Sides<MountedPad>,
+}
+
+impl CarriedBox {
+    /// The world with this box on its table.
+    fn world(&self) -> World {
+        let [x, y, z] = self.at;
+        let table = TableSpec {
+            height: z - self.size[2] / 2.0,
+            center: [x, y + 0.8],
+            size: [2.0, 2.0],
+            tilt_deg: [0.0; 2],
+            bumps: Vec::new(),
+            friction: FRICTION,
+            ..TableSpec::default()
+        };
+        let carried = BodySpec {
+            name: "box".into(),
+            size: self.size,
+            mass: self.mass,
+            friction: FRICTION,
+            at: Place::At(self.at),
+            ..BodySpec::default()
+        };
+        World { table, objects: Vec::new(), bodies: vec![carried], ..World::ideal() }
+    }
+}
+
+/// Friction of box on table.
+const FRICTION: f64 = 0.4;
 
 /// The sensor values of one palm: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with
 /// the sensor's noise and offset.
@@ -119,7 +163,7 @@ pub fn figures(log: &[CarryingRecord]) -> Option<CarryingFigures> {
 
 /// The scene.
 pub struct Carrying {
-    plant: CarryingPlant,
+    plant: Plant,
     noise: NoiseSpec,
     offset: Sides<PalmSensed>,
     sensed: Sides<PalmSensed>,
@@ -140,7 +184,20 @@ impl Carrying {
         start: &[f64],
         seed: u64,
     ) -> Result<Self, PlantError> {
-        let plant = CarryingPlant::new(model, carried, start)?;
+        let arm = model.arms().next().map_or_else(String::new, |limb| limb.name.clone());
+        let robot = RobotStart {
+            name: model.name().to_owned(),
+            model: Arc::clone(model),
+            arm,
+            room_from_root: Isometry3::identity(),
+            position: start.to_vec(),
+            errors: Errors::none(start.len()),
+            pads: carried.pads.to_vec(),
+        };
+        if model.arms().count() < 2 {
+            return Err(PlantError::Missing { what: "second arm".into() });
+        }
+        let plant = Plant::new(&carried.world(), vec![robot])?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let offset = [(); 2].map(|()| drawn(noise.wrench_bias, &mut rng));
         let referee = CarryingReferee::default();
@@ -151,12 +208,12 @@ impl Carrying {
 
     /// Sensed joint positions, rad or m.
     pub fn position(&self) -> &[f64] {
-        self.plant.position()
+        self.plant.position(0)
     }
 
     /// Sensed joint velocities, rad/s or m/s.
     pub fn velocity(&self) -> &[f64] {
-        self.plant.velocity()
+        self.plant.velocity(0)
     }
 
     /// The sensor values of the palms, right and left.
@@ -172,23 +229,29 @@ impl Carrying {
     /// Advances by one millisecond. The joints are driven to `position` with `velocity`, for all joints of the
     /// model.
     pub fn step(&mut self, position: &[f64], velocity: &[f64]) {
-        self.plant.step(position, velocity);
+        self.plant.step(&[(position, velocity)], &External::default());
         self.sense();
-        let (tcps, reactions) = (self.plant.tcps(), self.plant.reactions());
-        self.referee.lock().push(CarryingRecord { tcps, carried: self.plant.carried(), reactions });
+        let (tcps, reactions) = (pair(self.plant.tcps(0)), pair(self.plant.pads(0)));
+        let carried = self.plant.object(0).unwrap_or_default();
+        self.referee.lock().push(CarryingRecord { tcps, carried, reactions });
     }
 
     /// Length of a step, s.
     pub const DT: f64 = DT;
 
     fn sense(&mut self) {
-        let reactions = self.plant.reactions();
+        let reactions: Sides<PadReaction> = pair(self.plant.pads(0));
         for ((sensed, offset), truth) in self.sensed.iter_mut().zip(&self.offset).zip(&reactions) {
             let noise = drawn(self.noise.wrench, &mut self.rng);
             sensed.force = truth.force + offset.force + noise.force;
             sensed.torque = truth.torque + offset.torque + noise.torque;
         }
     }
+}
+
+/// The first two of a list.
+fn pair<T: Default>(mut all: impl Iterator<Item = T>) -> Sides<T> {
+    [(); 2].map(|()| all.next().unwrap_or_default())
 }
 
 /// A random force with standard deviation `deviation` on each axis, N, and a torque with a twentieth of it, N m.

@@ -29,6 +29,48 @@ pub struct RobotStart {
     pub position: Vec<f64>,
     /// What it truly is, against its model.
     pub errors: Errors,
+    /// Soft pads on the hands of its arms, in the model's order. A robot that has any touches with them alone.
+    pub pads: Vec<MountedPad>,
+}
+
+/// How a pad feels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PadSpec {
+    /// Stiffness of the whole pad across the box's side, N/m.
+    pub stiffness: f64,
+    /// Stiffness along it, N/m.
+    pub shear_stiffness: f64,
+    /// Coulomb friction of pad on box.
+    pub friction: f64,
+    /// Thickness, m: it is pressed in by less.
+    pub thickness: f64,
+    /// Half its edges, along the fingers and across them, m.
+    pub half: [f64; 2],
+}
+
+impl Default for PadSpec {
+    fn default() -> Self {
+        Self {
+            stiffness: 6000.0,
+            shear_stiffness: 2000.0,
+            friction: 0.9,
+            thickness: 0.03,
+            half: [0.08, 0.09],
+        }
+    }
+}
+
+/// A pad on a hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MountedPad {
+    /// How it feels.
+    pub spec: PadSpec,
+    /// The middle of its outer face, TCP frame, m.
+    pub middle: Point3<f64>,
+    /// The directions of its edges, along the fingers and across them, TCP frame; unit vectors.
+    pub edges: [Vector3<f64>; 2],
+    /// The direction in which it presses, TCP frame; a unit vector.
+    pub normal: Vector3<f64>,
 }
 
 /// The errors of one robot's body.
@@ -107,7 +149,7 @@ pub fn robots(
         }
         let errors = Errors::draw(&world.physics.0, &model, &mut rng);
         let (name, room_from_root) = (spec.name.clone(), spec.world_from_root());
-        Ok(RobotStart { name, model, arm, room_from_root, position, errors })
+        Ok(RobotStart { name, model, arm, room_from_root, position, errors, pads: Vec::new() })
     };
     [&world.robot].into_iter().chain(&world.robots).map(begin).collect()
 }

@@ -10,11 +10,10 @@ use std::f64::consts::TAU;
 use armarium_motion::{
     DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
 };
-use armarium_simulator::carrying::{Carrying, CarryingFigures, CarryingRecord, PalmSensed};
-use armarium_simulator::physics::carrying::{CarriedBox, HAND_HALF};
-use armarium_simulator::physics::pad::PadSpec;
+use armarium_simulator::carrying::{CarriedBox, Carrying, CarryingFigures, CarryingRecord, PalmSensed};
+use armarium_simulator::start::{MountedPad, PadSpec};
 use armarium_simulator::world::NoiseSpec;
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{Point3, Vector3, Vector6};
 
 use super::dual_arm_robot::{Arms, JOINTS, Joints};
 use super::error::{ExperimentError, within};
@@ -93,6 +92,10 @@ settings! {
     }
 }
 
+/// Middle of the palm, TCP frame, along the fingers, m.
+const PALM_MIDDLE: f64 = -0.03;
+/// From the TCP to the inner side of the hand, m.
+const HAND_HALF: f64 = 0.05;
 /// Distance of the waiting hands from the box, m.
 const WAIT_DISTANCE: f64 = 0.03;
 /// Durations of closing the hands, and of holding before the motion begins, s.
@@ -163,7 +166,14 @@ impl DualArm {
     fn carried(&self) -> CarriedBox {
         let Self { stiffness, shear_stiffness, friction, pad: half, .. } = *self;
         let pad = PadSpec { stiffness, shear_stiffness, friction, half, ..PadSpec::default() };
-        CarriedBox { mass: self.mass, size: self.size, at: self.at, pad }
+        // In both hands, y points to the robot's left: to the inner side of the right hand, and to the outer side of the left.
+        let mounted = |inner: f64| MountedPad {
+            spec: pad,
+            middle: Point3::new(0.0, inner * (HAND_HALF + pad.thickness), PALM_MIDDLE),
+            edges: [Vector3::z(), Vector3::x()],
+            normal: Vector3::y() * inner,
+        };
+        CarriedBox { mass: self.mass, size: self.size, at: self.at, pads: [mounted(1.0), mounted(-1.0)] }
     }
 
     /// Position of a hand that presses on the resting box, or waits beside it.
@@ -283,7 +293,7 @@ impl DualArm {
         let carried = self.carried();
         let at_pad = |side: usize| {
             let PalmSensed { force, torque } = palms[side];
-            let lever = arms.rotation(side) * carried.pad_middle(side).coords;
+            let lever = arms.rotation(side) * carried.pads[side].middle.coords;
             let moment = torque - lever.cross(&force);
             Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z)
         };

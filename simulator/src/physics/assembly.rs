@@ -172,12 +172,6 @@ impl Assembly {
         }
         Wrist { lump, body_from_sensor, body_from_tcp: self.links[tcp.index()].1, palm, fingers }
     }
-
-    /// The lump that carries a link, and the link's pose in it; `None` for links that do not move.
-    pub(super) fn carrier(&self, link: LinkId) -> Option<(usize, Isometry3<f64>)> {
-        let (lump, pose) = self.links.get(link.index())?;
-        Some(((*lump)?, *pose))
-    }
 }
 
 /// The motion of a joint: a rotation about its axis or a translation along it.

@@ -13,7 +13,7 @@ use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction};
 use crate::start::{BodyStart, Errors};
 use crate::table::{THICKNESS, TableTop};
-use crate::world::{BodyMotion, BodySpec, GRAVITY, Softness};
+use crate::world::{BodyMotion, BodyShape, BodySpec, GRAVITY, Softness};
 
 const ROBOT: rapier::Group = rapier::Group::GROUP_1;
 const OBJECT: rapier::Group = rapier::Group::GROUP_2;
@@ -86,7 +86,8 @@ fn add_soft_box(
     let collider = physics.insert_collider(full, Some(handle));
     physics.insert_collider(core, Some(handle));
     let reaction = FoundationReaction::default();
-    Object { handle, colliders: vec![collider], foundation: Some(foundation), reaction, loose: true }
+    let (colliders, foundation) = (vec![collider], Some(foundation));
+    Object { handle, colliders, foundation, reaction, loose: true, cuboid: None }
 }
 
 /// A body whose parts are all of one density.
@@ -112,7 +113,8 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
         parts.into_iter().map(|part| physics.insert_collider(part.density(density), Some(handle))).collect();
     let guided = attach(physics, handle, pose, spec);
     let reaction = FoundationReaction::default();
-    Object { handle, colliders, foundation: None, reaction, loose: !fixed && !guided }
+    let cuboid = (spec.shape == BodyShape::Box).then(|| spec.half());
+    Object { handle, colliders, foundation: None, reaction, loose: !fixed && !guided, cuboid }
 }
 
 /// Adds a part of a person: one with a mass moves by forces, without gravity; the others are moved.

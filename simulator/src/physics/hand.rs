@@ -12,7 +12,8 @@ use super::build::RobotBodies;
 use super::contacts::Outside;
 use super::convert;
 use super::grip::{Grip, Load, PadPress};
-use super::plant::{DT, Object};
+use super::pad::Moving;
+use super::plant::{DT, Object, moving};
 use super::wrench::{Momentum, WristWrench};
 
 /// A hand, and what it does.
@@ -87,9 +88,12 @@ impl Hand {
 
     /// Velocity of the TCP, m/s, root frame.
     pub(super) fn tcp_velocity(&self, bodies: &rapier::RigidBodySet) -> Vector3<f64> {
-        let body = &bodies[self.palm];
-        let arm = self.tcp(bodies).translation.vector - convert::to_vector(body.center_of_mass());
-        convert::to_vector(body.linvel()) + convert::to_vector(body.angvel()).cross(&arm)
+        self.moving(bodies).linear
+    }
+
+    /// The motion of the TCP.
+    pub(super) fn moving(&self, bodies: &rapier::RigidBodySet) -> Moving {
+        moving(&bodies[self.palm], &self.body_from_tcp)
     }
 
     /// What the hand exerts on its sensor.

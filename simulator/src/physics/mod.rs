@@ -4,7 +4,6 @@
 
 mod assembly;
 mod build;
-pub mod carrying;
 mod contacts;
 mod convert;
 mod drives;

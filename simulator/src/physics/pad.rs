@@ -7,39 +7,12 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::plant::PAD_FRICTION;
+use crate::start::{MountedPad, PadSpec};
 
 /// Number of points along each edge.
 const POINTS: usize = 3;
 /// Part of critical damping of the box on its pads.
 const DAMPING_RATIO: f64 = 0.2;
-
-/// How a pad feels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PadSpec {
-    /// Stiffness of the whole pad across the box's side, N/m.
-    pub stiffness: f64,
-    /// Stiffness along it, N/m.
-    pub shear_stiffness: f64,
-    /// Coulomb friction of pad on box.
-    pub friction: f64,
-    /// Thickness, m: it is pressed in by less.
-    pub thickness: f64,
-    /// Half its edges, along the fingers and across them, m.
-    pub half: [f64; 2],
-}
-
-impl Default for PadSpec {
-    fn default() -> Self {
-        Self {
-            stiffness: 6000.0,
-            shear_stiffness: 2000.0,
-            friction: PAD_FRICTION,
-            thickness: 0.03,
-            half: [0.08, 0.09],
-        }
-    }
-}
 
 /// A body that moves: pose, velocity of the pose's origin, m/s, and angular velocity, rad/s, root frame.
 #[derive(Clone, Copy, Debug)]
@@ -77,6 +50,8 @@ pub struct Pad {
     spec: PadSpec,
     /// Damping across and along the side, of one point, N s/m.
     damping: [f64; 2],
+    /// The direction in which it presses, hand's frame.
+    normal: Vector3<f64>,
     /// Points in the hand's frame, m.
     points: Vec<Point3<f64>>,
     /// Deflection of each point's bristle, box frame, m; `None` without contact.
@@ -84,15 +59,26 @@ pub struct Pad {
 }
 
 impl Pad {
-    /// A pad in the rectangle about `middle` (hand frame, m) with the half edges `u` and `v`, for a box of `mass` kg.
-    pub fn new(spec: PadSpec, mass: f64, middle: Point3<f64>, u: Vector3<f64>, v: Vector3<f64>) -> Self {
+    /// A pad on a hand, for a box of `mass` kg.
+    pub fn new(mounted: &MountedPad, mass: f64) -> Self {
+        let MountedPad { spec, middle, edges, normal } = *mounted;
+        let [u, v] = [edges[0] * spec.half[0], edges[1] * spec.half[1]];
         let place = |k: usize| 2.0 * k as f64 / (POINTS - 1) as f64 - 1.0;
         let points: Vec<_> =
             (0..POINTS * POINTS).map(|k| middle + u * place(k % POINTS) + v * place(k / POINTS)).collect();
         let count = points.len() as f64;
         let damping =
             [spec.stiffness, spec.shear_stiffness].map(|k| 2.0 * DAMPING_RATIO * (k * mass).sqrt() / count);
-        Self { spec, damping, bristles: vec![None; points.len()], points }
+        Self { spec, damping, normal, bristles: vec![None; points.len()], points }
+    }
+
+    /// The side of a box that the pad can press: the axis of the box's frame that is most opposite to its direction.
+    pub fn side(&self, hand: &Moving, carried: &Moving) -> Vector3<f64> {
+        let against = -(carried.pose.rotation.inverse() * hand.pose.rotation * self.normal);
+        let axis = against.iamax();
+        let mut side = Vector3::zeros();
+        side[axis] = against[axis].signum();
+        side
     }
 
     /// Advances the bristles by `dt` s. `half` are the box's half edges, m. The pad is on the side in the direction
@@ -158,14 +144,18 @@ mod tests {
     }
 
     fn pad() -> Pad {
-        let spec = PadSpec { stiffness: 4000.0, ..PadSpec::default() };
-        Pad::new(spec, 1.5, Point3::origin(), Vector3::y() * 0.05, Vector3::z() * 0.02)
+        let spec = PadSpec { stiffness: 4000.0, half: [0.05, 0.02], ..PadSpec::default() };
+        let edges = [Vector3::y(), Vector3::z()];
+        let mounted = MountedPad { spec, middle: Point3::origin(), edges, normal: -Vector3::x() };
+        Pad::new(&mounted, 1.5)
     }
 
     const HALF: Vector3<f64> = Vector3::new(0.2, 0.15, 0.1);
 
     fn step(pad: &mut Pad, hand: Moving) -> PadReaction {
-        pad.step(&hand, &at(0.0, 0.0, 0.0), &HALF, &Vector3::x(), DT)
+        let carried = at(0.0, 0.0, 0.0);
+        assert_eq!(pad.side(&hand, &carried), Vector3::x());
+        pad.step(&hand, &carried, &HALF, &Vector3::x(), DT)
     }
 
     #[test]

@@ -24,8 +24,9 @@ use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandl
 use super::build::{add_body, add_room, empty_room};
 use super::contacts::{Outside, Touch, touches};
 use super::convert;
+use super::pad::{Moving, Pad, PadReaction};
 use super::people::PersonBodies;
-use super::robot::{Arm, PlantRobot};
+use super::robot::{Arm, PaddedHand, PlantRobot};
 use super::wrench::Momentum;
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
@@ -62,6 +63,8 @@ pub(super) struct Object {
     pub(super) reaction: FoundationReaction,
     /// Whether a hand can take it.
     pub(super) loose: bool,
+    /// Half the edges of a rigid box, m.
+    pub(super) cuboid: Option<Vector3<f64>>,
 }
 
 /// The physics of a world.
@@ -212,6 +215,7 @@ impl Plant {
             robot.joints.set_targets(&mut self.physics, *targets);
         }
         self.apply(external);
+        self.press_pads();
         for person in &self.people {
             person.apply(&mut self.physics.bodies);
         }
@@ -272,6 +276,58 @@ impl Plant {
                 body.add_force(convert::vector(&knock), true);
             }
         }
+    }
+
+    /// Applies the forces of soft pads to the hands and to the boxes that they press.
+    fn press_pads(&mut self) {
+        let Self { physics, objects, robots, .. } = self;
+        let first = robots.iter().enumerate().flat_map(|(i, robot)| {
+            let working = robot.working;
+            (0..robot.arms.len()).map(move |arm| i == 0 && arm == working)
+        });
+        let first: Vec<bool> = first.collect();
+        for (arm, has_external) in robots.iter_mut().flat_map(|robot| &mut robot.arms).zip(first) {
+            let Arm { hand, pad: Some(padded), .. } = arm else { continue };
+            let tcp = hand.moving(&physics.bodies);
+            let far = |object: &Object| {
+                let at = convert::to_pose(physics.bodies[object.handle].position());
+                object.cuboid.map(|_| (at.translation.vector - tcp.pose.translation.vector).norm())
+            };
+            let boxes = objects.iter().enumerate().filter_map(|(i, object)| Some((i, far(object)?)));
+            let Some((nearest, _)) = boxes.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+            let Object { handle, cuboid: Some(half), .. } = &objects[nearest] else { continue };
+            let carried = moving(&physics.bodies[*handle], &Isometry3::identity());
+            if padded.pad.as_ref().is_none_or(|(pressed, _)| *pressed != nearest) {
+                padded.pad = Some((nearest, Pad::new(&padded.mounted, physics.bodies[*handle].mass())));
+            }
+            let Some((_, pad)) = &mut padded.pad else { continue };
+            let side = pad.side(&tcp, &carried);
+            padded.reaction = pad.step(&tcp, &carried, half, &side, DT);
+            let PadReaction { force, torque, .. } = padded.reaction;
+            let at = tcp.pose.translation.vector;
+            let palm = &mut physics.bodies[hand.palm];
+            if !has_external {
+                palm.reset_forces(false);
+                palm.reset_torques(false);
+            }
+            palm.add_force_at_point(convert::vector(&force), convert::vector(&at), true);
+            palm.add_torque(convert::vector(&torque), true);
+            let on_box = -(torque + (at - carried.pose.translation.vector).cross(&force));
+            let body = &mut physics.bodies[*handle];
+            body.add_force(convert::vector(&-force), true);
+            body.add_torque(convert::vector(&on_box), true);
+        }
+    }
+
+    /// The forces of what the soft pads of a robot press on its hands, in the order of its arms; torques about the TCPs.
+    pub fn pads(&self, robot: usize) -> impl Iterator<Item = PadReaction> + '_ {
+        let arms = self.robots[robot].arms.iter();
+        arms.map(|arm| arm.pad.as_ref().map_or_else(PadReaction::default, |pad| pad.reaction))
+    }
+
+    /// Poses of the TCPs of a robot's arms, in the room.
+    pub fn tcps(&self, robot: usize) -> impl Iterator<Item = Isometry3<f64>> + '_ {
+        self.robots[robot].arms.iter().map(|arm| arm.hand.tcp(&self.physics.bodies))
     }
 
     /// Makes or breaks the joints between palms and objects.
@@ -373,6 +429,10 @@ impl Plant {
             if i == self.robots[0].working {
                 outside.add(&external.hand, &arm.hand.tcp(&self.physics.bodies).translation.vector);
             }
+            if let Some(PaddedHand { reaction, .. }) = &arm.pad {
+                outside.add(&reaction.force, &arm.hand.tcp(&self.physics.bodies).translation.vector);
+                outside.torque += reaction.torque;
+            }
             if let Some(held) = arm.hand.grip.held() {
                 let middle =
                     convert::to_vector(self.physics.bodies[self.objects[held].handle].center_of_mass());
@@ -391,7 +451,8 @@ impl Plant {
     /// For each arm, whether something touches it or what it holds.
     fn touched(&self) -> Vec<bool> {
         let held = |arm: &Arm| arm.hand.grip.held().map(|held| &self.objects[held]);
-        let rubs = |arm: &Arm| held(arm).is_some_and(|object| object.reaction.normal > 0.0);
+        let presses = |arm: &Arm| arm.pad.as_ref().is_some_and(|pad| pad.reaction.normal > 0.0);
+        let rubs = |arm: &Arm| presses(arm) || held(arm).is_some_and(|object| object.reaction.normal > 0.0);
         let mut touched: Vec<bool> = self.arms().map(rubs).collect();
         for pair in self.physics.narrow_phase.contact_pairs().filter(|pair| pair.has_any_active_contact()) {
             for (arm, touched) in self.arms().zip(&mut touched) {
@@ -452,6 +513,14 @@ impl Plant {
             })
             .min_by(f64::total_cmp)
     }
+}
+
+/// The motion of a body, or of a frame fixed in it.
+pub(super) fn moving(body: &rapier::RigidBody, body_from_frame: &Isometry3<f64>) -> Moving {
+    let pose = convert::to_pose(body.position()) * body_from_frame;
+    let angular = convert::to_vector(body.angvel());
+    let arm = pose.translation.vector - convert::to_vector(body.center_of_mass());
+    Moving { pose, linear: convert::to_vector(body.linvel()) + angular.cross(&arm), angular }
 }
 
 /// The table's force on an object.

@@ -13,8 +13,9 @@ use super::assembly::Assembly;
 use super::build::{RobotBodies, add_robot};
 use super::drives::Joints;
 use super::hand::Hand;
+use super::pad::{Pad, PadReaction};
 use crate::error::PlantError;
-use crate::start::{Errors, RobotStart};
+use crate::start::{Errors, MountedPad, RobotStart};
 
 /// An arm sleeps after this many steps of rest.
 const SLEEPS_AFTER: u32 = 300;
@@ -33,7 +34,16 @@ pub(super) struct Arm {
     /// Whether something touched it in the last step.
     pub(super) touched: bool,
     pub(super) hand: Hand,
+    pub(super) pad: Option<PaddedHand>,
     pub(super) rest: Rest,
+}
+
+/// A soft pad on a hand, and the box that it presses.
+pub(super) struct PaddedHand {
+    pub(super) mounted: MountedPad,
+    pub(super) pad: Option<(usize, Pad)>,
+    /// The force of the box on the hand in the last step; the torque is about the TCP.
+    pub(super) reaction: PadReaction,
 }
 
 /// Whether an arm sleeps.
@@ -87,20 +97,21 @@ impl PlantRobot {
         objects: usize,
     ) -> Result<Self, PlantError> {
         let start = robot.true_position();
-        let RobotStart { model, arm: works, room_from_root, errors, .. } = robot;
+        let RobotStart { model, arm: works, room_from_root, errors, pads, .. } = robot;
         let limbs: Vec<&Limb> = model.arms().collect();
         let own = |arm: &Limb| -> Vec<usize> {
             let hand = arm.hand.as_deref().map_or(&[][..], |hand| model.limb(hand));
             arm.joints.iter().chain(hand).copied().collect()
         };
-        let touching: Vec<usize> = limbs.iter().flat_map(|arm| own(arm)).collect();
-        let mut heavy = touching.clone();
+        let mut heavy: Vec<usize> = limbs.iter().flat_map(|arm| own(arm)).collect();
+        let touching = heavy.clone();
         for joint in limbs.iter().flat_map(|arm| model.reaching_joints(&arm.name)) {
             if !heavy.contains(&joint) {
                 heavy.push(joint);
             }
         }
         let carriers: Vec<usize> = heavy.iter().copied().filter(|joint| !touching.contains(joint)).collect();
+        let touching = if pads.is_empty() { touching } else { Vec::new() };
         let assembly = Assembly::new(&model, &start, &carriers, &touching);
         let still = vec![0.0; start.len()];
         let parts = add_robot(physics, &model, &assembly, (&room_from_root, &errors), (&start, &still))?;
@@ -112,6 +123,7 @@ impl PlantRobot {
                 colliders: Vec::new(),
                 touched: false,
                 hand,
+                pad: None,
                 // The first set points are where the joints are sensed to be.
                 rest: Rest {
                     asleep: true,
@@ -122,7 +134,10 @@ impl PlantRobot {
             })
         };
         let working = limbs.iter().position(|arm| arm.name == works);
-        let arms: Vec<Arm> = limbs.iter().filter_map(arm).collect();
+        let mut arms: Vec<Arm> = limbs.iter().filter_map(arm).collect();
+        for (arm, pad) in arms.iter_mut().zip(&pads) {
+            arm.pad = Some(PaddedHand { mounted: *pad, pad: None, reaction: PadReaction::default() });
+        }
         let working = working.filter(|working| *working < arms.len());
         let working = working.ok_or_else(|| PlantError::Missing { what: "arm that works".into() })?;
         let joints = Joints::new(&model, parts.bodies.clone(), &heavy, &start);
@@ -173,7 +188,8 @@ impl PlantRobot {
         let asleep =
             |joint: &usize| self.arms.iter().any(|arm| arm.rest.asleep && arm.joints.contains(joint));
         let dynamic: Vec<usize> = self.heavy.iter().copied().filter(|joint| !asleep(joint)).collect();
-        let touching: Vec<usize> = self.arms.iter().flat_map(|arm| arm.joints.iter().copied()).collect();
+        let touching = self.arms.iter().filter(|arm| arm.pad.is_none());
+        let touching: Vec<usize> = touching.flat_map(|arm| arm.joints.iter().copied()).collect();
         self.parts.remove(physics);
         let Joints { position, velocity, .. } = &self.joints;
         let assembly = Assembly::new(&self.model, position, &dynamic, &touching);
