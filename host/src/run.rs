@@ -334,7 +334,8 @@ impl Stage {
         let (Some(connection), Some(world_file)) = (&network.connection, &world.file) else {
             return Ok(None);
         };
-        let Some(store) = self.memory.store().filter(|_| !world.world.agents.is_empty()) else {
+        let alone = world.world.agents.is_empty() && world.world.robots.is_empty();
+        let Some(store) = self.memory.store().filter(|_| !alone) else {
             return Ok(None);
         };
         let sharing = Sharing {

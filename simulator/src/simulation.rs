@@ -226,13 +226,15 @@ impl Simulation {
         source
     }
 
-    /// The cameras of the world's other agents, by agent name. Poses are in each agent's own root frame.
+    /// The cameras of the world's other agents, by agent name: of those who only look on, and of the robots besides the first.
+    /// Poses are in each agent's own root frame.
     pub fn agents(&self) -> Vec<(String, Arc<dyn ImageSource>)> {
         let eyes = |agent: &AgentEyes| {
             let source: Arc<SimulatedCameras> = Arc::clone(agent.source());
             (agent.name().to_owned(), source as Arc<dyn ImageSource>)
         };
-        self.agents.iter().map(eyes).collect()
+        let robots = self.robots().into_iter().skip(1).map(|(name, _, images)| (name, images));
+        self.agents.iter().map(eyes).chain(robots).collect()
     }
 
     /// The referee of this run.

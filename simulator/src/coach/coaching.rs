@@ -8,15 +8,19 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
 
 use super::clearance::lift;
 use super::demonstration::minimum_jerk;
 use super::path::{CoachPath, PhaseTracker};
 use super::{CoachState, SeenArm};
-use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Push, Show};
+use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Palm, Push, Show, Timing};
 
-/// Time that the hand needs to come and to go, s.
+/// Time that the hand needs to come and to go at its usual speed, s.
 const COME_S: f64 = 1.0;
+/// How far a palm that may look anywhere is turned about the fingers and tilted at most, rad.
+const MOST_TURNED: [f64; 2] = [1.05, 0.44];
 /// The hand may come faster or slower by at most this factor, to arrive in time.
 const MAX_HASTE: f64 = 1.7;
 /// The robot slows down as the hand comes: the share of the path that it still covers meanwhile.
@@ -121,6 +125,12 @@ struct Showing {
 #[derive(Clone, Debug)]
 pub(super) struct Coaching {
     steps: Vec<CoachingStep>,
+    /// For each step, how far its palm is turned about the fingers and tilted, rad.
+    turns: Vec<[f64; 2]>,
+    /// Time that a hand needs to come and to go, s.
+    come_s: f64,
+    /// Whether a gesture arrives when the robot's hand does.
+    matched: bool,
     ends: f64,
     camera: Point3<f64>,
     forearm: Vector3<f64>,
@@ -135,8 +145,21 @@ pub(super) struct Coaching {
 }
 
 impl Coaching {
-    pub(super) fn new(spec: &CoachSpec, path: CoachPath, camera: Point3<f64>, side: f64) -> Self {
+    pub(super) fn new(
+        spec: &CoachSpec,
+        path: CoachPath,
+        (camera, side): (Point3<f64>, f64),
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
+        let turn = |most: f64, rng: &mut ChaCha8Rng| most * (2.0 * rng.random::<f64>() - 1.0);
+        let turns = spec.coaching.iter().map(|_| match spec.palm {
+            Palm::Camera => [0.0; 2],
+            Palm::Any => MOST_TURNED.map(|most| turn(most, rng)),
+        });
         Self {
+            turns: turns.collect(),
+            come_s: COME_S / spec.speed,
+            matched: spec.timing == Timing::Matched,
             steps: spec.coaching.clone(),
             ends: spec.ends,
             camera,
@@ -207,8 +230,11 @@ impl Coaching {
     /// coached phase. A push waits for its phase by itself.
     fn in_time(&self, step: &CoachingStep, elapsed: f64) -> bool {
         let CoachingAction::Show(show) = &step.action else { return true };
+        if !self.matched {
+            return true;
+        }
         let Some(cycles) = self.until(show.phase) else { return true };
-        let needed = SLOWED * COME_S * self.tracker.frequency();
+        let needed = SLOWED * self.come_s * self.tracker.frequency();
         let over = elapsed - step.at > MAX_WAIT_PERIODS / self.path.frequency();
         over || (needed - cycles).rem_euclid(1.0) < 0.1
     }
@@ -273,7 +299,7 @@ impl Coaching {
 
     fn show(&mut self, show: &Show, t: f64, dt: f64, gone: bool, state: &mut CoachState) {
         let kind = ActionKind::Gesture(show.gesture);
-        let rate = self.approach_rate(show.phase);
+        let (rate, come_s) = (self.approach_rate(show.phase), self.come_s);
         let Activity::Showing(hand) = &mut self.activity else { return };
         hand.come = (hand.come + rate * dt).min(1.0);
         let mut happened = None;
@@ -287,11 +313,11 @@ impl Coaching {
             happened = Some(EventKind::Leaves);
         }
         let apart = match hand.leaves {
-            Some(left) => minimum_jerk((t - left) / COME_S),
+            Some(left) => minimum_jerk((t - left) / come_s),
             None => 1.0 - minimum_jerk(hand.come),
         };
         let root_from_hand = Translation3::from(hand.away * apart) * hand.place;
-        let over = hand.leaves.is_some_and(|left| t - left >= COME_S);
+        let over = hand.leaves.is_some_and(|left| t - left >= come_s);
         let in_place = hand.arrived.is_some() && hand.leaves.is_none();
         let shown_s = t - hand.since;
         if let Some(event) = happened {
@@ -308,10 +334,11 @@ impl Coaching {
     /// needs to the coached phase, limited by [`MAX_HASTE`].
     fn approach_rate(&self, phase: f64) -> f64 {
         let Activity::Showing(hand) = &self.activity else { return 0.0 };
-        let Some(cycles) = self.until(phase) else { return 1.0 / COME_S };
+        let come_s = self.come_s;
+        let Some(cycles) = self.until(phase).filter(|_| self.matched) else { return 1.0 / come_s };
         // If the phase was just missed, do not wait for the next pass.
         let left = if cycles > 0.8 { 0.0 } else { cycles / self.tracker.frequency().max(1e-3) };
-        ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (MAX_HASTE * COME_S), MAX_HASTE / COME_S)
+        ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (MAX_HASTE * come_s), MAX_HASTE / come_s)
     }
 
     /// Where the hand stands: beside the path as executed last, the palm turned to the cameras. It is lifted if the
@@ -323,7 +350,10 @@ impl Coaching {
             Some(direction) => direction,
             None => across(&Vector3::from(show.offset), &view, &self.forearm),
         };
-        let beside = Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view));
+        let [about, tilt] = self.turns.get(self.next).copied().unwrap_or_default();
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), about)
+            * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), tilt);
+        let beside = Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view) * turned);
         Translation3::from(Vector3::z() * lift(&beside, &self.seen)) * beside
     }
 
@@ -367,13 +397,15 @@ mod tests {
 
     use super::*;
     use crate::world::Demonstration;
+    use rand::SeedableRng as _;
 
     const DT: f64 = 1e-3;
 
     /// Moves an ideal hand along the coach's own path. Returns the coach's state at each ms, and the events.
     fn wipe(spec: &CoachSpec, seconds: f64) -> (Vec<CoachState>, Vec<ActionEvent>) {
         let path = CoachPath::new(&Demonstration::default());
-        let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65), 1.0);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut coaching = Coaching::new(spec, path.clone(), (Point3::new(0.0, 0.24, 1.65), 1.0), &mut rng);
         coaching.begin(0.0);
         let omega = TAU * path.frequency();
         let mut states = Vec::new();
@@ -434,6 +466,27 @@ mod tests {
                 assert!(step.norm() < 1e-3);
             }
         }
+    }
+
+    #[test]
+    fn a_coach_of_his_own_mind_comes_at_once_and_turns_his_palm() {
+        let show = Show {
+            gesture: Gesture::Fist,
+            phase: 0.75,
+            offset: [0.0, -0.12, 0.0],
+            duration: 5.0,
+            direction: None,
+        };
+        let shown = |palm, timing, speed| {
+            let spec = CoachSpec { palm, timing, speed, ..only(CoachingAction::Show(show.clone())) };
+            let (states, events) = wipe(&spec, 15.0);
+            let hand = states.iter().filter_map(|s| s.hand).find(|hand| hand.in_place).unwrap();
+            (hand.root_from_hand.rotation, events[0].t, events[1].t - events[0].t)
+        };
+        let (facing, ..) = shown(Palm::Camera, Timing::Matched, 1.0);
+        let (turned, came, took) = shown(Palm::Any, Timing::Free, 2.0);
+        assert!(facing.angle_to(&turned) > 0.05, "{}", facing.angle_to(&turned));
+        assert!((came - 6.0).abs() < 2e-3 && (took - 0.5).abs() < 5e-3, "{came} {took}");
     }
 
     #[test]

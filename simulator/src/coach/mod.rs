@@ -68,11 +68,13 @@ impl Coach {
         rng: ChaCha8Rng,
     ) -> Self {
         let path = CoachPath::new(&spec.demonstration.clone().unwrap_or_default());
+        let mut turns = rng.clone();
+        turns.set_stream(rng.get_stream() ^ 1 << 32);
         Self {
             demonstration: spec.demonstration.clone().filter(|d| d.periods > 0),
             table_height,
             performance: None,
-            coaching: Coaching::new(spec, path, camera, side),
+            coaching: Coaching::new(spec, path, (camera, side), &mut turns),
             rng,
             state: CoachState::default(),
         }

@@ -19,8 +19,38 @@ form! {
         pub coaching: Vec<CoachingStep> = default_coaching(), Rule::most(MAX_LIST);
         /// When the coach has gone, s from the start of wiping.
         pub ends: f64 = 95.0, Rule::number("s", 0.0, 3600.0);
+        /// Where the palm of a gesture looks.
+        pub palm: Palm = Palm::Camera;
+        /// Whether a gesture arrives when the robot's hand does.
+        pub timing: Timing = Timing::Matched;
+        /// How fast a hand comes and goes, as a multiple of 0.35 m in 1 s.
+        pub speed: f64 = 1.0, Rule::number("", 0.2, 3.0);
     }
 }
+
+/// Where the palm of a gesture looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Palm {
+    /// To the robot's cameras, as far as the fingers' direction allows.
+    #[default]
+    Camera,
+    /// Turned from that about the fingers by up to 60 degrees and tilted by up to 25, as the seed draws for each gesture.
+    Any,
+}
+choice!(Palm { "camera" => Self::Camera, "any" => Self::Any });
+
+/// Whether a gesture arrives when the robot's hand does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Timing {
+    /// The hand comes when the robot's comes to the coached phase.
+    #[default]
+    Matched,
+    /// It comes when it comes, at its own speed.
+    Free,
+}
+choice!(Timing { "matched" => Self::Matched, "free" => Self::Free });
 
 form! {
     /// The coach's tool: a block of 0.09 x 0.06 x 0.04 m.

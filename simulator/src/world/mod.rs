@@ -30,7 +30,8 @@ pub use agents::{AgentSpec, CoverSpec};
 pub use armarium_visionx::Gesture;
 pub use bodies::{BodyMotion, BodyShape, BodySpec, ContentsSpec, HingeSpec, Place, SlideSpec, Softness};
 pub use coach::{
-    CoachSpec, CoachingAction, CoachingStep, Demonstration, PathShape, Push, Show, Swipe, ToolSpec,
+    CoachSpec, CoachingAction, CoachingStep, Demonstration, Palm, PathShape, Push, Show, Swipe, Timing,
+    ToolSpec,
 };
 
 pub use person::{ActorSpec, PersonAction, PersonSpec, Side};
