@@ -77,6 +77,8 @@ pub struct Plant {
     people: Vec<PersonBodies>,
     /// The contacts of the last step.
     touches: Vec<Touch>,
+    /// Whether a joint holds what a hand grips, besides the contacts.
+    pub(super) joins: bool,
 }
 
 impl Plant {
@@ -98,8 +100,16 @@ impl Plant {
         }
         let stand = |spec: &PersonSpec| PersonBodies::new(&mut physics, spec, Posture::standing(spec));
         let people = world.people().map(stand).collect();
-        let mut plant =
-            Self { physics, table, table_collider, objects, robots: all, people, touches: Vec::new() };
+        let mut plant = Self {
+            physics,
+            table,
+            table_collider,
+            objects,
+            robots: all,
+            people,
+            touches: Vec::new(),
+            joins: true,
+        };
         plant.weigh();
         let momenta = plant.momenta();
         plant.feel(&External::default(), &momenta);
@@ -385,6 +395,9 @@ impl Plant {
     }
 
     fn join(&mut self, (robot, arm): (usize, usize), object: usize) {
+        if !self.joins {
+            return;
+        }
         let (palm, handle) = (self.robots[robot].arms[arm].hand.palm, self.objects[object].handle);
         let bodies = &self.physics.bodies;
         let palm_from_object = bodies[palm].position().inverse() * *bodies[handle].position();

@@ -198,6 +198,25 @@ fn closing_takes_and_the_sensor_feels_the_load() {
     assert!((difference + Vector3::z() * 0.15 * GRAVITY).norm() < 0.01, "{difference}");
 }
 
+/// Why a joint holds what the pads press on, and not their contacts alone.
+#[test]
+fn by_contacts_alone_an_object_creeps_out_of_the_hand() {
+    let creep = |joins: bool| {
+        let (model, mut plant) = with_object_between_pads();
+        plant.joins = joins;
+        let in_hand = |plant: &Plant| plant.tcp(0).inverse() * plant.object(0).unwrap();
+        close(&mut plant, &model, 1000, &External::default());
+        let before = in_hand(&plant);
+        close(&mut plant, &model, 10_000, &External::default());
+        let after = in_hand(&plant);
+        let turned = before.rotation.angle_to(&after.rotation).to_degrees();
+        ((after.translation.vector - before.translation.vector).norm(), turned)
+    };
+    let (joined, contacts) = (creep(true), creep(false));
+    assert!(joined.0 < 1e-5 && joined.1 < 0.01, "{joined:?}");
+    assert!(contacts.1 > 1.0, "{contacts:?}");
+}
+
 #[test]
 fn opening_drops_and_a_knock_takes_it_out() {
     let (model, mut plant) = with_object_between_pads();

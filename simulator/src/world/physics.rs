@@ -16,7 +16,7 @@ form! {
         /// Error of the compensation of a robot's own weight, as a share of the weight; its sign is drawn.
         pub gravity_error: f64 = 0.03, Rule::number("", 0.0, 0.5);
         /// Standard deviation of the error of each turning joint's zero, degrees.
-        pub joint_zero_deg: f64 = 0.1, Rule::degrees(5.0, "joint_zero");
+        pub joint_zero_deg: f64 = 0.3, Rule::degrees(5.0, "joint_zero");
         /// Play between a turning joint's motor, where the angle is measured, and its link, degrees: the measured angle lags behind
         /// by up to half of it. The drive's force does not know it.
         pub backlash_deg: f64 = 0.1, Rule::degrees(5.0, "backlash");
