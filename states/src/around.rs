@@ -12,7 +12,7 @@ use armarium_robot::{
     DifferentialIk, IkConfig, Limb, LinkId, Model, PoseOptions, Twist, pose_error, solve_pose,
 };
 use armarium_runtime::skill::Failure;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 use crate::arm::Senses;
 use crate::equipment::Equipment;
@@ -22,6 +22,8 @@ use crate::prior::{class_name, object_class};
 
 /// A thing that is nearer than this to where the hand grasps is what it works on, m.
 const AT_HAND: f64 = 0.05;
+/// A place without thickness is a surface that was seen from above; it is taken for this thick, m.
+const THICKNESS: f64 = 0.02;
 /// Step of a rehearsed line, s, and the gain of its tracking, 1/s.
 const STEP_S: f64 = 0.02;
 const GAIN: f64 = 12.0;
@@ -232,15 +234,9 @@ pub(crate) async fn follow(
 /// What memory holds now of places and things, each with its extent. Things in a hand and what has no pose in the root frame are
 /// left out, and so are things whose class nobody knows.
 async fn known(memory: &dyn Memory) -> Result<Vec<Known>, Failure> {
-    let mut all = Vec::new();
-    let segment =
-        async |name: &str| memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed);
-    for place in segment("EnvironmentModels").await? {
-        let size = place.attribute("size").and_then(armarium_values::Value::as_vector3);
-        let Some(size) = size else { continue };
-        all.extend(shape(&place, size).map(|shape| Known { shape, is_thing: false }));
-    }
-    for thing in segment("ObjectInstances").await? {
+    let mut all: Vec<Known> =
+        places(memory).await?.into_iter().map(|shape| Known { shape, is_thing: false }).collect();
+    for thing in segment(memory, "ObjectInstances").await? {
         if thing.attribute("attached_to").is_some() {
             continue;
         }
@@ -249,6 +245,28 @@ async fn known(memory: &dyn Memory) -> Result<Vec<Known>, Failure> {
         all.extend(shape(&thing, class.size).map(|shape| Known { shape, is_thing: true }));
     }
     Ok(all)
+}
+
+/// What memory holds now of places: tables, walls. What has no pose in the root frame or no extent is left out.
+pub(crate) async fn places(memory: &dyn Memory) -> Result<Vec<KnownBox>, Failure> {
+    let known = segment(memory, "EnvironmentModels").await?;
+    let place = |place: &Arc<Snapshot>| {
+        let mut size = place.attribute("size").and_then(armarium_values::Value::as_vector3)?;
+        let is_surface = size[2] == 0.0;
+        if is_surface {
+            size[2] = THICKNESS;
+        }
+        let mut shape = shape(place, size)?;
+        if is_surface {
+            shape.root_from_box *= Translation3::new(0.0, 0.0, -THICKNESS / 2.0);
+        }
+        Some(shape)
+    };
+    Ok(known.iter().filter_map(place).collect())
+}
+
+async fn segment(memory: &dyn Memory, name: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {
+    memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed)
 }
 
 fn shape(snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {

@@ -25,6 +25,7 @@ mod prior;
 mod reach;
 mod running_motion;
 mod skills;
+mod surface;
 mod wiper;
 
 pub use equipment::Equipment;

@@ -128,7 +128,8 @@ form! {
         pub wrench: f64 = 0.3, Rule::number("N", 0.0, 20.0);
         /// Standard deviation of the constant offset of each force axis, N; torque axes a twentieth, N m.
         pub wrench_bias: f64 = 1.0, Rule::number("N", 0.0, 100.0);
-        /// Rate of the offset's drift, each force axis with its own sign and part of it, N/s; torque axes a twentieth.
+        /// Rate at which the offset begins to drift, each force axis with its own sign and part of it, N/s; torque axes a
+        /// twentieth. The drift returns: it stays within five minutes of this rate.
         pub wrench_drift: f64 = 0.01, Rule::number("N/s", 0.0, 10.0);
         /// White noise of each joint angle, rad.
         pub joint: f64 = 0.0002, Rule::number("rad", 0.0, 0.1);

@@ -36,17 +36,17 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let periods = context.value("periods")?.as_int().unwrap_or(3).max(1);
-    let z = tool.standing_height() + context.number("height")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let over = context.number("height")?;
+    let mut wiper = Wiper::take(&equipment, &context, &tool).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    required_speed(&equipment, &wiper.arm, wiper.motion(), &tool.tcp, z)?;
+    required_speed(&equipment, &wiper, over)?;
     wiper.start_nearest(&senses.newest())?;
-    wiper.approach(&mut senses, z, 0.2).await?;
+    wiper.approach(&mut senses, over, 0.2).await?;
     let wanted = SETTLING + f64::from(i32::try_from(periods).unwrap_or(i32::MAX));
     let (mut turned, mut pace) = (0.0, 1.0);
     loop {
         let (sample, dt) = senses.next().await?;
-        let progress = wiper.step(&sample, dt, pace, Height { z, rate: 0.0 })?;
+        let progress = wiper.step(&sample, dt, pace, Height { over, rate: 0.0 })?;
         // Periods are counted from the moment at which the motion has its full frequency.
         let before = turned;
         if wiper.pace() >= 1.0 {

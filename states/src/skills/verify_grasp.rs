@@ -19,6 +19,7 @@ use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
+use crate::surface::Surface;
 
 const GRAVITY: f64 = 9.81;
 /// A hand with an aperture below this holds nothing, m.
@@ -38,7 +39,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         .input("empty", Type::quantity(Unit::N), "Upward force on the empty hand in this posture.")
         .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
         .output("mass", Type::quantity(Unit::KG), "Mass of the object, by the difference of weights.")
-        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, height and mass of the object.");
+        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, the surface that the object stood on (a pose, z its normal), height and mass of the object.");
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
@@ -68,7 +69,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tcp_at_grasp = context.pose("tcp_at_grasp")?;
     let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
-    let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, stood.z)).await?;
+    let surface = Surface::under(&*equipment.memory, &stood).await?;
+    let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
@@ -76,6 +78,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     equipment.robot.set_load(&hand.name, Some(load)).map_err(failed)?;
     let grasp = BTreeMap::from([
         ("tcp".to_owned(), pose_value(&tcp_at_grasp)),
+        ("surface".to_owned(), pose_value(&surface.pose())),
         ("height".to_owned(), Value::Float(class.size[2])),
         ("mass".to_owned(), Value::Float(mass)),
     ]);
@@ -107,15 +110,15 @@ impl ObjectDetection {
     }
 }
 
-/// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height
-/// `stood`, m. Detections above or below the table's height are ignored: they are the arm, or two parts of the
-/// object matched as one.
+/// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height of `stood`
+/// over the surface on which it stood. Detections above or below that are ignored: they are the arm, or two parts of the object
+/// matched as one.
 async fn look(
     equipment: &Equipment,
     arm: &mut Arm,
     senses: &mut Senses,
     color: [u8; 3],
-    (held_in_tcp, stood): (&Point3<f64>, f64),
+    (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
 ) -> Result<ObjectDetection, Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
@@ -132,7 +135,8 @@ async fn look(
         let held_in_left = frame.root_from_left.inverse() * held;
         let Some(seen) = tracking.update_near(&frame, Some(&held_in_left)) else { continue };
         let away = (seen.point_in_left - held_in_left).norm();
-        if away < IN_HAND || ((frame.root_from_left * seen.point_in_left).z - stood).abs() < ON_TABLE {
+        let at = frame.root_from_left * seen.point_in_left;
+        if away < IN_HAND || (surface.above(&at) - surface.above(stood)).abs() < ON_TABLE {
             nearest = nearest.min(away);
         }
         if nearest < IN_HAND {
