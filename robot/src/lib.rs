@@ -31,7 +31,7 @@ mod pose_ik;
 mod seam;
 mod wrist;
 
-pub use boundary::{Fault, LeaseError, LeaseLimits, Load, Sensed, SensedWrench, Wrench};
+pub use boundary::{Fault, LeaseError, LeaseLimits, Load, LoadShape, Sensed, SensedWrench, Wrench};
 pub use dummy::{DummyRobot, ServoJoints};
 pub use error::RobotError;
 pub use gaze::Gaze;

@@ -3,7 +3,7 @@
 use armarium_robot::{Lease, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext};
 
-use crate::arm::{chosen, lease};
+use crate::arm::{at_hand, chosen, lease};
 use crate::equipment::Equipment;
 use crate::grasp::hand;
 
@@ -19,10 +19,11 @@ const CENTRING_GAIN: f64 = 5.0;
 
 impl Hand {
     /// Leases the hand of the arm that the input names, for the skill in `context`.
-    pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let model = equipment.robot.model();
-        let name = hand(model, chosen(equipment, context)?)?.name.clone();
-        let lease = lease(equipment, context, &name)?;
+    pub(crate) async fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let (model, arm) = (equipment.robot.model(), chosen(equipment, context)?);
+        let name = hand(model, arm)?.name.clone();
+        let touches = at_hand(equipment, arm, &[]).await?;
+        let lease = lease(equipment, context, &name, &touches)?;
         Ok(Self { lease, joints: model.limb(&name).to_vec(), name })
     }
 

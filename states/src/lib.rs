@@ -21,6 +21,7 @@ mod inputs;
 mod motions;
 mod needs;
 pub mod observers;
+mod places;
 mod prior;
 mod reach;
 mod running_motion;

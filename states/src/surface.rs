@@ -12,9 +12,9 @@ use armarium_values::Value;
 use armarium_visionx::{PinholeCamera, StereoFrame, TabletopSegmentation};
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
-use crate::around;
 use crate::inputs::pose_value;
 use crate::motions::failed;
+use crate::places::places;
 
 /// What stands on a surface has its underside within this of it, m.
 const STANDS: f64 = 0.04;
@@ -60,8 +60,8 @@ impl Surface {
         memory: &dyn Memory,
         point: &Point3<f64>,
     ) -> Result<Option<Self>, Failure> {
-        let places = around::places(memory).await?;
-        let tops = places.iter().filter_map(|place| top_under(place, point));
+        let known = places(memory).await?;
+        let tops = known.iter().filter_map(|place| top_under(place, point));
         Ok(tops.min_by(|a, b| a.above(point).abs().total_cmp(&b.above(point).abs())))
     }
 

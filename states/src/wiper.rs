@@ -11,13 +11,13 @@ use std::f64::consts::TAU;
 
 use armarium_memoryx::EntityId;
 use armarium_motion::{ContactFrame, Motion, PeriodicOrientationDmp, StraightLine, SurfaceCorrection};
-use armarium_robot::Sensed;
+use armarium_robot::{Limb, Sensed};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::Value;
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::arm::{Arm, Senses};
+use crate::arm::{Arm, Senses, chosen};
 use crate::equipment::Equipment;
 use crate::grasp::{hand, held_in_tcp};
 use crate::inputs::{Inputs, as_pose};
@@ -51,12 +51,17 @@ impl GraspedTool {
         Ok(Self { tcp, surface: context.value("grasp")?.get("surface").and_then(as_pose).map(Surface::of) })
     }
 
+    /// The height of the TCP over the surface when the tool stood on it, m.
+    fn standing(&self, surface: &Surface) -> f64 {
+        surface.above(&self.tcp.translation.vector.into())
+    }
+
     /// What the tool stood on: at worst, what the hand faced there.
-    fn stood_on(&self, equipment: &Equipment, arm: &Arm) -> Result<Surface, Failure> {
+    fn stood_on(&self, equipment: &Equipment, arm: &Limb) -> Result<Surface, Failure> {
         if let Some(surface) = self.surface {
             return Ok(surface);
         }
-        let hand = hand(equipment.robot.model(), arm.limb())?;
+        let hand = hand(equipment.robot.model(), arm)?;
         Ok(Surface::new(self.tcp * held_in_tcp(hand), hand.grasps_from(&self.tcp.rotation)))
     }
 }
@@ -131,13 +136,11 @@ impl Wiper {
         context: &SkillContext,
         tool: &GraspedTool,
     ) -> Result<Self, Failure> {
-        let (arm, id, motion) = Self::own(equipment, context).await?;
-        let stood_on = tool.stood_on(equipment, &arm)?;
+        let (arm, id, motion) = Self::own(equipment, context, tool).await?;
+        let stood_on = tool.stood_on(equipment, arm.limb())?;
         let [x, y] = middle_of(motion.motion());
         let here = Surface::known_under(&*equipment.memory, &stood_on.at(x, y)).await?.unwrap_or(stood_on);
-        // As high over the surface as when the tool stood.
-        let standing = stood_on.above(&tool.tcp.translation.vector.into());
-        let middle = here.at(x, y) + here.normal().scale(standing);
+        let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
         let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
         Self::new(arm, (id, motion), stage, context)
     }
@@ -148,8 +151,8 @@ impl Wiper {
         context: &SkillContext,
         tool: &GraspedTool,
     ) -> Result<(Self, SurfaceCorrection), Failure> {
-        let (arm, id, motion) = Self::own(equipment, context).await?;
-        let stood_on = tool.stood_on(equipment, &arm)?;
+        let (arm, id, motion) = Self::own(equipment, context, tool).await?;
+        let stood_on = tool.stood_on(equipment, arm.limb())?;
         let [x, y] = middle_of(motion.motion());
         let fitted = motion.motion().surface().cloned().ok_or_else(|| {
             Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
@@ -163,10 +166,18 @@ impl Wiper {
     async fn own(
         equipment: &Equipment,
         context: &SkillContext,
+        tool: &GraspedTool,
     ) -> Result<(Arm, EntityId, MotionOwner), Failure> {
         let id = context.entity("motion")?;
         let motion = equipment.motions.own(&equipment.memory, &id).await?;
-        Ok((Arm::take(equipment, context)?, id, motion))
+        // It works on what the tool stood on, with the tool over the motion's middle.
+        let [x, y] = middle_of(motion.motion());
+        let mut over_middle = tool.tcp;
+        let surface = tool.stood_on(equipment, chosen(equipment, context)?)?;
+        over_middle.translation =
+            (surface.at(x, y) + surface.normal().scale(tool.standing(&surface))).coords.into();
+        let arm = Arm::take(equipment, context, &[tool.tcp, over_middle]).await?;
+        Ok((arm, id, motion))
     }
 
     fn new(

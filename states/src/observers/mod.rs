@@ -1,9 +1,11 @@
-//! Observers: tasks that publish sensor data on channels, which charts watch and skills read.
+//! Observers: tasks that publish sensor data on channels, which charts watch and skills read; and one that tells the robot what
+//! memory knows of its surroundings.
 //!
 //! [`channels`] describes them, with fields, units and rates; `armarium channels` prints it.
 
 mod arrival;
 mod hand;
+mod surroundings;
 mod wrist;
 
 use armarium_runtime::channels::Channels;
@@ -82,5 +84,6 @@ pub fn start(equipment: &Equipment, channels: &Channels) -> Vec<JoinHandle<()>> 
     vec![
         tokio::spawn(wrist::observe(equipment.clone(), channels.clone())),
         tokio::spawn(hand::observe(equipment.clone(), channels.clone())),
+        tokio::spawn(surroundings::observe(equipment.clone())),
     ]
 }

@@ -59,7 +59,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
     let (works, hand) = (workspace(model, arm.limb())?, hand(model, arm.limb())?);
     let facing = from_level(&hand.grasps_from(&works.rotation));

@@ -18,6 +18,7 @@ mod open_hand;
 mod plan_grasp;
 mod recall_motion;
 mod recall_object;
+mod reset_stop;
 mod tare;
 mod verify_grasp;
 mod vision_coaching;
@@ -46,6 +47,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         plan_grasp::skill(equipment),
         visual_servo::skill(equipment),
         tare::skill(equipment),
+        reset_stop::skill(equipment),
         weigh_hand::skill(equipment),
         verify_grasp::skill(equipment),
         attach_object::skill(equipment),

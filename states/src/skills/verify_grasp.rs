@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_robot::Load;
+use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
@@ -15,7 +15,7 @@ use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, pose_value};
+use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
@@ -46,7 +46,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let object = context.entity("object")?;
     let class = class_of(&*equipment.memory, &object).await?;
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
 
     let model = equipment.robot.model();
@@ -74,7 +74,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
-    let load = Load { name: object.to_string(), mass_kg: mass, center_in_tcp: held };
+    let size = Vector3::from(class.size);
+    let stood_as = equipment.memory.latest(&object).await.map_err(failed)?;
+    let stood_as = stood_as.attribute("pose").and_then(as_pose).map_or(surface.rotation(), |pose| pose.rotation);
+    // Its turn in the hand is as it stood; its middle is where the hand holds.
+    let tcp_from_box = Isometry3::from_parts(held.coords.into(), tcp_at_grasp.rotation.inverse() * stood_as);
+    let shape = Some(LoadShape { tcp_from_box, size });
+    let load = Load { name: object.to_string(), mass_kg: mass, center_in_tcp: held, shape };
     equipment.robot.set_load(&hand.name, Some(load)).map_err(failed)?;
     let grasp = BTreeMap::from([
         ("tcp".to_owned(), pose_value(&tcp_at_grasp)),

@@ -50,7 +50,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[context.pose("target")?]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut sight = Detections::new(&equipment, &context, arm.limb()).await?;
     let over = context.pose("pre_pose")?.translation.vector - context.pose("target")?.translation.vector;
