@@ -27,6 +27,7 @@ pub(crate) struct Sensors {
     faults: Faults,
     /// Of each joint, whether it slides.
     sliding: Vec<bool>,
+    odometry: Vec<Odometry>,
     rng: ChaCha8Rng,
     wrenches: Vec<WrenchSensor>,
     /// The wrench sensor that the faults concern: that of the arm that works.
@@ -54,6 +55,7 @@ impl Sensors {
         Self {
             noise: noise.clone(),
             faults: faults.clone(),
+            odometry: Odometry::all(model, noise, &mut stream(64)),
             sliding: model.joints().iter().map(|joint| joint.kind == JointKind::Prismatic).collect(),
             rng: stream(0),
             wrenches: (1..).zip(model.wrenches()).map(|(n, _)| WrenchSensor::new(noise, stream(n))).collect(),
@@ -75,6 +77,9 @@ impl Sensors {
             let [a, b]: [f64; 2] = std::array::from_fn(|_| self.rng.sample(StandardNormal));
             sample.position[j] = position[j] + sigma * a;
             sample.velocity[j] = velocity[j] + VELOCITY_SHARE * sigma * b;
+        }
+        for odometry in &mut self.odometry {
+            sample.position[odometry.joint] += odometry.error(position[odometry.joint]);
         }
         let frozen = self.faults.wrench == WrenchFault::Frozen && t >= self.faults.from;
         for (i, (sensor, truth)) in self.wrenches.iter_mut().zip(wrenches).enumerate() {
@@ -111,6 +116,30 @@ impl WrenchSensor {
             force: truth.force + Vector3::new(offset[0], offset[1], offset[2]),
             torque: truth.torque + Vector3::new(offset[3], offset[4], offset[5]),
         }
+    }
+}
+
+/// The error of one joint of a platform: its wheels slip by a share of the way.
+#[derive(Clone, Debug)]
+struct Odometry {
+    joint: usize,
+    slip: f64,
+    /// Where it was in the last step, m or rad, and the error since the start.
+    last: Option<f64>,
+    off: f64,
+}
+
+impl Odometry {
+    fn all(model: &Model, noise: &NoiseSpec, rng: &mut ChaCha8Rng) -> Vec<Self> {
+        let joints = model.platform().into_iter().flat_map(|platform| platform.joints);
+        let slip = |rng: &mut ChaCha8Rng| noise.odometry * rng.sample::<f64, _>(StandardNormal);
+        joints.map(|joint| Self { joint, slip: slip(rng), last: None, off: 0.0 }).collect()
+    }
+
+    fn error(&mut self, position: f64) -> f64 {
+        // There and back again does not undo the error.
+        self.off += self.slip * (position - self.last.replace(position).unwrap_or(position)).abs();
+        self.off
     }
 }
 

@@ -118,9 +118,10 @@ pub(crate) fn force_at(sensor: usize, sample: &Sensed) -> Vector3<f64> {
     sample.wrenches.get(sensor).map_or_else(Vector3::zeros, |felt| felt.external.force)
 }
 
-/// Where an arm works: the pose of its TCP in the posture in which it is ready (root from TCP).
-pub(crate) fn workspace(model: &Model, arm: &Limb) -> Result<Isometry3<f64>, Failure> {
-    Ok(model.link_pose(model.ready(&arm.name), tcp_of(arm)?))
+/// Where an arm works, with the platform where it is at the positions `now` of all joints: the pose of its TCP in the posture in
+/// which it is ready (root from TCP).
+pub(crate) fn workspace(model: &Model, arm: &Limb, now: &[f64]) -> Result<Isometry3<f64>, Failure> {
+    Ok(model.link_pose(&model.taken_at(model.ready(&arm.name), now), tcp_of(arm)?))
 }
 
 /// An arm and the limbs that help it, leased together.

@@ -130,7 +130,7 @@ impl Around {
             self.tcp,
             &self.joints,
             target,
-            self.model.ready(&self.arm),
+            &self.model.taken_at(self.model.ready(&self.arm), now),
             &PoseOptions::default(),
             &mut self.equipment.random(),
         );

@@ -28,7 +28,8 @@ pub(crate) fn required_speed(
         let point = &path.y[s % path.len()];
         wiper.pose_at([point[0], point[1]], over)
     };
-    let mut q = model.ready(&arm.limb().name).to_vec();
+    let now = &equipment.robot.sensed().borrow().position.clone();
+    let mut q = model.taken_at(model.ready(&arm.limb().name), now);
     let mut random = equipment.random();
     let mut solve = |s: usize, seed: &[f64]| {
         solve_pose(model, link, joints, &pose(s), seed, &PoseOptions::default(), &mut random).map_err(|e| {

@@ -10,6 +10,7 @@
 mod file;
 mod guess;
 mod meshes;
+mod platform;
 mod resolve;
 mod shipped;
 mod srdf;

@@ -33,6 +33,9 @@ const PLACES: [[f64; 3]; 6] = [
 
 /// From the middle of the arm's workspace to the middle of the places, m.
 const OVER_WORKSPACE: [f64; 3] = [0.0, -0.01, 0.15];
+/// Places that are enough, and a residual of the fit with which none is left out, m.
+const ENOUGH: usize = 4;
+const GOOD: f64 = 0.004;
 /// Frames that are averaged at each place.
 const FRAMES: usize = 5;
 
@@ -61,7 +64,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
-    let (works, hand) = (workspace(model, arm.limb())?, hand(model, arm.limb())?);
+    let (works, hand) = (workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?, hand(model, arm.limb())?);
     let facing = from_level(&hand.grasps_from(&works.rotation));
     let center = match context.value("center")? {
         center if center.as_list().is_some_and(<[Value]>::is_empty) => {
@@ -83,14 +86,22 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             expected.push(should);
         }
     }
-    if seen.len() < 4 {
+    if seen.len() < ENOUGH {
         return Err(Failure::new(format!(
             "the marker on the hand was seen in {} of {} places; do both cameras work, and is the light on?",
             seen.len(),
             PLACES.len()
         )));
     }
-    let fit = rigid_fit(&seen, &expected).map_err(|e| Failure::new(e.to_string()))?;
+    let mut fit = rigid_fit(&seen, &expected).map_err(failed)?;
+    // Where the hand hides a part of the marker, that is seen beside its place.
+    while fit.rms > GOOD && seen.len() > ENOUGH {
+        let off = |i: usize| (fit.target_from_source * seen[i] - expected[i]).norm();
+        let worst = (0..seen.len()).max_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0);
+        seen.remove(worst);
+        expected.remove(worst);
+        fit = rigid_fit(&seen, &expected).map_err(failed)?;
+    }
     if fit.rms > largest {
         return Err(Failure::new(format!(
             "hand and cameras do not agree: {:.0} mm remain after calibration; are the eyes in the right order?",

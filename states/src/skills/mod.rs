@@ -11,6 +11,7 @@ mod keep_motion;
 mod locate_object;
 mod look_at;
 mod move_joints;
+mod move_platform;
 mod move_tcp;
 mod move_tcp_by;
 mod movement_imitation;
@@ -36,6 +37,7 @@ use crate::equipment::Equipment;
 pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
     vec![
         move_joints::skill(equipment),
+        move_platform::skill(equipment),
         move_tcp::skill(equipment),
         move_tcp_by::skill(equipment),
         look_at::skill(equipment),

@@ -61,6 +61,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let arm = chosen(&equipment, &context)?;
     let hand = hand(model, arm)?;
     let mut random = equipment.random();
+    let ready = model.taken_at(model.ready(&arm.name), &equipment.robot.sensed().borrow().position);
     let opening = widest_opening(model, hand);
     let mut best: Option<Candidate> = None;
     let mut nearest = f64::INFINITY;
@@ -74,7 +75,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let grasp = tcp_at(hand, &center, &surface.rotation(), hand_yaw);
             let mut pre = grasp;
             pre.translation.vector += surface.normal().scale(height);
-            match candidate(model, arm, (grasp, pre), misalignment, &mut random)? {
+            match candidate((model, arm, &ready), (grasp, pre), misalignment, &mut random)? {
                 Ok(found) if best.as_ref().is_none_or(|b| found.score > b.score) => best = Some(found),
                 Ok(_) => {}
                 Err(missing) => nearest = nearest.min(missing),
@@ -116,8 +117,7 @@ fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
 /// A grasp with its score; else its distance from the reachable space, m, which is 0 if only a joint limit is too
 /// near.
 fn candidate(
-    model: &Arc<Model>,
-    arm: &Limb,
+    (model, arm, ready): (&Arc<Model>, &Limb, &[f64]),
     (grasp, pre): (Isometry3<f64>, Isometry3<f64>),
     misalignment: f64,
     random: &mut ChaCha8Rng,
@@ -128,7 +128,7 @@ fn candidate(
     let mut solve = |target: &Isometry3<f64>, seed: &[f64]| {
         solve_pose(model, tcp, joints, target, seed, &options, random).map_err(|e| e.position_error_m)
     };
-    let solved = solve(&grasp, model.ready(&arm.name)).and_then(|at_grasp| {
+    let solved = solve(&grasp, ready).and_then(|at_grasp| {
         let at_pre = solve(&pre, &at_grasp)?;
         Ok((at_grasp, at_pre))
     });
