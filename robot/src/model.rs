@@ -194,6 +194,10 @@ pub struct Hand {
     pub open: Vec<f64>,
     /// Positions of its joints when it is closed, rad (m).
     pub closed: Vec<f64>,
+    /// The shapes that it takes, by their names: positions of its joints, rad (m). `open` and `closed` are two of them.
+    pub shapes: BTreeMap<String, Vec<f64>>,
+    /// The links with which it touches what it holds.
+    pub pads: Vec<LinkId>,
     /// Where it grasps, in the frame of its arm's TCP: the middle of what it holds, x along the approach, y along the
     /// closing direction.
     pub grasp_in_tcp: Isometry3<f64>,

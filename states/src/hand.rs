@@ -16,6 +16,8 @@ pub(crate) struct Hand {
 
 /// Gain with which the pads are kept at equal distances from the middle, 1/s.
 const CENTRING_GAIN: f64 = 5.0;
+/// Gain with which joints go to a shape, 1/s.
+const SHAPING_GAIN: f64 = 4.0;
 
 impl Hand {
     /// Leases the hand of the arm that the input names, for the skill in `context`.
@@ -40,6 +42,14 @@ impl Hand {
     /// Rate at which the aperture grows, m/s.
     pub(crate) fn opening_speed(&self, sample: &Sensed) -> f64 {
         self.joints.iter().map(|&j| sample.velocity[j]).sum()
+    }
+
+    /// Moves each joint towards its place in a shape, rad (m); returns how far the farthest one is from it.
+    pub(crate) fn towards(&self, sample: &Sensed, shape: &[f64]) -> Result<f64, Failure> {
+        let off = || self.joints.iter().zip(shape).map(|(&j, goal)| goal - sample.position[j]);
+        let velocities: Vec<f64> = off().map(|off| SHAPING_GAIN * off).collect();
+        self.lease.command(&velocities).map_err(|fault| Failure::new(fault.to_string()))?;
+        Ok(off().fold(0.0, |most, off| most.max(off.abs())))
     }
 
     /// Closes each pad at a speed, m/s (negative: opens), and keeps the pads centred.

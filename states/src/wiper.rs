@@ -341,6 +341,7 @@ impl Wiper {
         self.channels.publish(
             "motion",
             Value::record([
+                ("arm", Value::from(self.arm.limb().name.as_str())),
                 ("phase", Value::Float(phase)),
                 ("frequency", Value::Float(omega / TAU)),
                 ("position", Value::from([tcp.x, tcp.y, tcp.z])),

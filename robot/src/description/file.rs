@@ -93,6 +93,10 @@ form! {
         pub open: Option<Positions> = None;
         /// Positions of its joints when it is closed; their lower limits where nothing is said.
         pub closed: Option<Positions> = None;
+        /// Further shapes that it takes: positions of its joints by the shape's name, for instance `pinch` or `flat`.
+        pub shapes: Named<Positions> = Named::new();
+        /// The links with which it touches what it holds; all that its joints move where nothing is said.
+        pub pads: Vec<String> = Vec::new(), Rule::ANY;
         /// Where it grasps, in the frame of its arm's TCP: x along the approach, y along the closing direction.
         pub grasp_in_tcp: PoseFile = PoseFile::default();
         /// Width of a finger pad, m.

@@ -224,8 +224,36 @@ impl Resolver<'_> {
             let link = self.link(&["hands", name, "marker", "link"], &marker.link)?;
             Some(Marker { link, color: marker.color, diameter: marker.diameter })
         });
-        let grasp_in_tcp = pose(&hand.grasp_in_tcp);
-        Hand { name: name.to_owned(), open, closed, grasp_in_tcp, pad_width: hand.pad_width, marker }
+        let mut shapes =
+            BTreeMap::from([("open".to_owned(), open.clone()), ("closed".to_owned(), closed.clone())]);
+        for (shape, positions) in &hand.shapes {
+            let positions = self.positions(&["hands", name, "shapes", shape], &positions.0, &joints);
+            shapes.insert(shape.clone(), positions);
+        }
+        let pads = match hand.pads.is_empty() {
+            true => self.moved_by(&joints),
+            false => hand.pads.iter().filter_map(|pad| self.link(&["hands", name, "pads"], pad)).collect(),
+        };
+        Hand {
+            name: name.to_owned(),
+            open,
+            closed,
+            shapes,
+            pads,
+            grasp_in_tcp: pose(&hand.grasp_in_tcp),
+            pad_width: hand.pad_width,
+            marker,
+        }
+    }
+
+    /// The links with a shape to touch with that these joints move.
+    fn moved_by(&self, joints: &[usize]) -> Vec<LinkId> {
+        let tree = self.tree;
+        let moved = |link: &LinkId| {
+            let motions = tree.movers[link.0].iter().filter_map(|mover| tree.links[mover.0].motion);
+            !tree.links[link.0].collisions.is_empty() && motions.into_iter().any(|m| joints.contains(&m.joint))
+        };
+        (0..tree.links.len()).map(LinkId).filter(moved).collect()
     }
 
     /// Positions of a hand's joints: one for all, or one for each.

@@ -20,6 +20,7 @@ mod plan_grasp;
 mod recall_motion;
 mod recall_object;
 mod reset_stop;
+mod shape_hand;
 mod tare;
 mod verify_grasp;
 mod vision_coaching;
@@ -50,6 +51,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         visual_servo::skill(equipment),
         tare::skill(equipment),
         reset_stop::skill(equipment),
+        shape_hand::skill(equipment),
         weigh_hand::skill(equipment),
         verify_grasp::skill(equipment),
         attach_object::skill(equipment),
