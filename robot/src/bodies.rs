@@ -14,15 +14,18 @@ use parry3d_f64::shape::{Cuboid, Cylinder, SharedShape};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{Geometry, Joint, Kinematics, LinkId, Load, Mesh, Model};
+use crate::{Geometry, Joint, JointKind, Kinematics, LinkId, Load, Mesh, Model};
 
 /// Distance that two bodies keep, m.
 pub(crate) const KEPT: f64 = 0.02;
 /// Bodies that are farther apart than this, m, are not looked at more closely.
 pub(crate) const FAR: f64 = 0.3;
-/// Bodies with at most this many joints between them are kept apart by the limits of those joints: an upper arm and the trunk
+/// Bodies that turn, with at most this many joints between them are kept apart by the limits of those joints: an upper arm and the trunk
 /// that carries its shoulder, a hand and the forearm that carries its wrist.
 const NEAR_IN_CHAIN: usize = 3;
+/// Bodies with at most this many joints between them and what the robot stands on, such as hips, are as far from known boxes as it
+/// stands.
+const NEAR_THE_BASE: usize = 2;
 /// Bodies that are nearer than this at the start, m, are taken for neighbours.
 const NEIGHBOURS: f64 = 0.03;
 /// Random configurations in which pairs are looked at, and the share of them in which neighbours are near.
@@ -141,8 +144,8 @@ impl Bodies {
         Self { bodies, pairs }
     }
 
-    /// With what the hands hold, by their names, and boxes, from which every body that moves has to stay apart. A load stays
-    /// apart from what its hand has to stay apart from.
+    /// With what the hands hold, by their names, and boxes, from which every body that moves has to stay apart, but for those that
+    /// at most two joints turn. A load stays apart from what its hand has to stay apart from.
     pub(crate) fn with(&self, model: &Model, loads: &BTreeMap<String, Load>, boxes: &[KnownBox]) -> Self {
         let mut all = Self { bodies: self.bodies.clone(), pairs: self.pairs.clone() };
         for arm in model.arms() {
@@ -156,7 +159,7 @@ impl Bodies {
         for known in boxes {
             let body_from_shape = root_from_body.inverse() * known.root_from_box;
             let index = all.add_box(root, body_from_shape, &known.size, &known.name);
-            let moving = (0..own).filter(|&a| model.motions(all.bodies[a].link).next().is_some());
+            let moving = (0..own).filter(|&a| goes_far(model, all.bodies[a].link));
             let pairs: Vec<Pair> = moving.map(|a| all.whole([a, index])).collect();
             all.pairs.extend(pairs);
         }
@@ -260,6 +263,15 @@ pub(crate) fn least_distance(bodies: &Bodies, kinematics: &Kinematics) -> f64 {
 fn anywhere(joint: &Joint, rng: &mut ChaCha8Rng) -> f64 {
     let (lower, upper) = (joint.lower.max(-std::f64::consts::PI), joint.upper.min(std::f64::consts::PI));
     if lower < upper { rng.random_range(lower..upper) } else { lower }
+}
+
+/// Whether a link is moved by a platform alone, slides, or is turned by enough joints to come near to what stands around.
+fn goes_far(model: &Model, link: LinkId) -> bool {
+    let drives = |joint: usize| model.platform().is_some_and(|platform| platform.joints.contains(&joint));
+    let (driven, own): (Vec<usize>, Vec<usize>) =
+        model.motions(link).map(|(_, motion)| motion.joint).partition(|&joint| drives(joint));
+    let slides = own.iter().any(|&joint| model.joints()[joint].kind == JointKind::Prismatic);
+    own.len() > NEAR_THE_BASE || slides || (own.is_empty() && !driven.is_empty())
 }
 
 /// The joints that move one of two links but not the other.

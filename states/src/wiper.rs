@@ -4,8 +4,8 @@
 //! It owns the motion while it runs. Changes by others arrive as edits (see `running_motion/`) and are executed
 //! from the next control step on. The caller sets the pace, and the height of the hand over the path ([`Height`]).
 //!
-//! A motion is learned in a level plane. It is played in the frame of the surface: its x and y lie in the surface, its z is
-//! along the normal. The tool is held to the surface as it was to the one from which it was grasped.
+//! A motion is learned in a level plane. In free space it is played so; on a surface, in the frame of that: its x and y lie in the
+//! surface, its z is along the normal. The tool is held to the surface as it was to the one from which it was grasped.
 
 use std::f64::consts::TAU;
 
@@ -143,6 +143,20 @@ impl Wiper {
         let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
         let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
         Self::new(arm, (id, motion), stage, context)
+    }
+
+    /// The same in free space: level, as it was shown, and high enough to be nowhere lower over the surface than in the middle.
+    pub(crate) async fn take_free(
+        equipment: &Equipment,
+        context: &SkillContext,
+        tool: &GraspedTool,
+    ) -> Result<Self, Failure> {
+        let mut wiper = Self::take(equipment, context, tool).await?;
+        let path = wiper.motion().primitive().steady_path(256).map_err(failed)?;
+        let on_surface = |y: &Vec<f64>| (wiper.stage.root_from_motion * Point3::new(y[0], y[1], 0.0)).z;
+        let highest = path.y.iter().map(on_surface).fold(f64::NEG_INFINITY, f64::max);
+        wiper.stage.root_from_motion = Isometry3::translation(0.0, 0.0, highest);
+        Ok(wiper)
     }
 
     /// The same, over the surface that the motion was fitted to, with what was learned of that.

@@ -54,7 +54,7 @@ form! {
         /// Largest speed of its turn, rad/s.
         pub turn: f64 = 1.0, Rule::number("rad/s", 0.01, 10.0);
         /// Largest acceleration, m/s2, and rad/s2 of its turn: it stands within 200 ms from full speed, if that is great enough.
-        pub acceleration: f64 = 5.0, Rule::number("", 0.01, 20.0);
+        pub acceleration: f64 = 8.0, Rule::number("", 0.01, 20.0);
     }
 }
 

@@ -10,6 +10,8 @@ use crate::{Kinematics, LinkId, Model};
 
 /// From this distance on they slow down, m.
 const SLOWING: f64 = 0.2;
+/// Bodies that are near to each other when they become known may come nearer by this, m; never nearer than this.
+const NEARER: f64 = 0.006;
 /// Approaching speed per distance that is left, 1/s. From the largest speed of a TCP, 1 m/s, this brakes with at most
 /// 4 m/s² and comes to rest at [`KEPT`] without overshoot.
 const RATE: f64 = 4.0;
@@ -26,6 +28,10 @@ pub(crate) struct Clearance {
     commanded_kinematics: Kinematics,
     /// For each pair, the limbs that move one of its bodies against the other, as indices into the lease table.
     carriers: Vec<Vec<usize>>,
+    /// For each pair, the distance that it keeps, m: what is known to stand nearer when it is told is not fled from.
+    kept: Vec<f64>,
+    /// Whether the pairs are new, so that this is not found yet.
+    renewed: bool,
     /// For each pair, whether a lease allows it to touch.
     allowed: Vec<bool>,
     /// The leases for which that was found.
@@ -43,6 +49,8 @@ impl Clearance {
             commanded: Distances::new(&bodies),
             commanded_kinematics: Kinematics::new(model),
             carriers: Vec::new(),
+            kept: Vec::new(),
+            renewed: false,
             allowed: Vec::new(),
             leases: Vec::new(),
             bodies,
@@ -60,6 +68,8 @@ impl Clearance {
         };
         self.carriers = self.bodies.pairs().map(carriers).collect();
         self.allowed = vec![false; self.carriers.len()];
+        self.kept = vec![KEPT; self.carriers.len()];
+        self.renewed = true;
     }
 
     /// Takes over what the hands hold, what is around the robot, and which leases there are. Allocates only where that changes.
@@ -103,6 +113,11 @@ impl Clearance {
         self.measured.update(measured);
         self.commanded_kinematics.update(commanded);
         self.commanded.update(&self.commanded_kinematics);
+        if std::mem::take(&mut self.renewed) {
+            for (pair, near) in self.measured.near(KEPT + NEARER) {
+                self.kept[pair] = (near.distance - NEARER).clamp(NEARER, KEPT);
+            }
+        }
     }
 
     /// For each pair that approaches too fast with the joint velocities `desired`: the limbs that move it, and the
@@ -112,7 +127,7 @@ impl Clearance {
         let near = self.measured.near(SLOWING).chain(self.commanded.near(SLOWING));
         near.filter(|(pair, _)| !self.allowed[*pair]).filter_map(move |(pair, near)| {
             let approach = approach(kinematics, &near, desired);
-            let limit = RATE * (near.distance - KEPT).max(0.0);
+            let limit = RATE * (near.distance - self.kept[pair]).max(0.0);
             (approach > limit).then(|| (self.carriers[pair].as_slice(), limit / approach))
         })
     }

@@ -22,7 +22,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
             .input("motion", Type::motion(), "The motion.")
             .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
-            .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the table.")
+            .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the highest place of the table under its path.")
             .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
             .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
             .publishes("motion")
@@ -37,7 +37,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let periods = context.value("periods")?.as_int().unwrap_or(3).max(1);
     let over = context.number("height")?;
-    let mut wiper = Wiper::take(&equipment, &context, &tool).await?;
+    let mut wiper = Wiper::take_free(&equipment, &context, &tool).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     required_speed(&equipment, &wiper, over)?;
     wiper.start_nearest(&senses.newest())?;
