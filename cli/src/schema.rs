@@ -1,4 +1,4 @@
-//! `armarium schema world|chart|test|object|scene`: the JSON schemas that editors check and complete files with.
+//! `armarium schema world|chart|test|object|scene|robot`: the JSON schemas that editors check and complete files with.
 
 use std::io::{self, Write};
 
@@ -25,6 +25,8 @@ pub(crate) enum SchemaOf {
     Object,
     /// A scene of prior knowledge.
     Scene,
+    /// A robot file.
+    Robot,
 }
 
 /// Writes the schema. Returns the exit status 0.
@@ -38,6 +40,7 @@ pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
         SchemaOf::Test => Kind::Test,
         SchemaOf::Object => Kind::Object,
         SchemaOf::Scene => Kind::Scene,
+        SchemaOf::Robot => Kind::Robot,
     };
     let schema = kind.schema(&armarium_host::catalog::idle_registry());
     serde_json::to_writer_pretty(&mut *out, &schema)?;

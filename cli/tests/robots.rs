@@ -38,6 +38,36 @@ fn every_robot_grasps() {
     }
 }
 
+/// From one metre before its place, turned by some degrees.
+#[test]
+fn a_robot_on_a_platform_drives_to_the_table_and_grasps() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let chart = "\
+statechart: DriveAndGrasp
+initial: Drive
+states:
+  Drive:
+    skill: MovePlatform
+    with: {to: [0.0, 0.0, 0.0]}
+    transitions: {success: Grasp, failure: Failed}
+  Grasp:
+    statechart: GraspObject
+    with: {object: sponge}
+    transitions: {success: Done, failure: Failed}
+  Done: {final: success}
+  Failed: {final: failure}
+";
+    let file = folder.path().join("drive.yaml");
+    std::fs::write(&file, chart).expect("it is written");
+    let world = "world: far\nrobot: {model: rover2, at: [0.1, -1.0], yaw_deg: 15}\n";
+    std::fs::write(folder.path().join("far.yaml"), world).expect("it is written");
+    let charts = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../statecharts");
+    let charts = charts.to_string_lossy().into_owned();
+    let args = ["--charts", &charts, "--world", "far.yaml"];
+    let report = run(folder.path(), &file.to_string_lossy(), &args);
+    assert!(figure(&report, "grasp", "position_error_m") < 0.01, "{report}");
+}
+
 /// Keeps a flat ellipse over the table of the default world in a store, as a run would that has learned it.
 fn keep_ellipse(store: &Path) {
     let world = World::default();

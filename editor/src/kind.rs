@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_memoryx::prior;
+use armarium_robot::description::{self, RobotFile};
 use armarium_runtime::chart::{self, ChannelSchema, Library, Registry};
 use armarium_runtime::test_cases::TestFile;
 use armarium_simulator::World;
@@ -23,6 +24,8 @@ pub enum Kind {
     Object,
     /// A scene of prior knowledge.
     Scene,
+    /// A robot file.
+    Robot,
 }
 
 /// The skills and channels that charts may name.
@@ -45,12 +48,14 @@ pub struct Checked {
 
 impl Kind {
     /// Every kind with the key that its files begin with.
-    pub const ALL: [(Self, &'static str); 5] = [
+    pub const ALL: [(Self, &'static str); 6] = [
         (Self::Chart, "statechart"),
         (Self::World, "world"),
         (Self::Test, "test"),
         (Self::Scene, "scene"),
         (Self::Object, "object"),
+        // Worlds have a `robot` too, and say that they are worlds.
+        (Self::Robot, "robot"),
     ];
 
     /// What it is called.
@@ -62,6 +67,7 @@ impl Kind {
             Self::Test => "test cases of a chart",
             Self::Object => "an object class of prior knowledge",
             Self::Scene => "a scene of prior knowledge",
+            Self::Robot => "a robot file",
         }
     }
 
@@ -94,6 +100,7 @@ impl Kind {
             Self::Test => armarium_source::schema::<TestFile>(),
             Self::Object => prior::file::schema(),
             Self::Scene => prior::scene::schema(),
+            Self::Robot => armarium_source::schema::<RobotFile>(),
         }
     }
 }
@@ -129,6 +136,7 @@ pub(crate) fn check_as(
         }
         Kind::World => World::read(source, 1).map(drop),
         Kind::Test => check_test(source, folders, files, catalog),
+        Kind::Robot => return Checked { findings: description::check(source, files), library: None },
         Kind::Object | Kind::Scene => Err(prior::file::check(&source, files)),
     };
     Checked { findings: read.err().unwrap_or_default(), library: None }

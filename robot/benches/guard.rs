@@ -4,21 +4,35 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Guard, GuardConfig, Lease, LeaseLimits, Model, Robot, Sample};
+use armarium_robot::planning::KnownBox;
+use armarium_robot::{Guard, GuardConfig, Lease, LeaseLimits, Load, LoadShape, Model, Robot, Sample};
 use divan::Bencher;
+use nalgebra::{Isometry3, Point3, Vector3};
 
 fn main() {
     divan::main();
 }
 
-/// Both arms and the torso follow a wave about a posture, `amplitude` rad wide.
+/// Both arms and the torso follow a wave about a posture, `amplitude` rad wide, over a known table, with something in one hand.
 fn step(bencher: Bencher, amplitude: f64) {
     let model = Model::shipped("armar3").unwrap();
     let (mut guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::default());
+    let table = KnownBox {
+        name: "table".into(),
+        root_from_box: Isometry3::translation(0.25, 0.6, 0.94),
+        size: Vector3::new(1.0, 0.7, 0.02),
+    };
+    robot.set_surroundings(vec![table]).unwrap();
+    let shape = Some(LoadShape {
+        tcp_from_box: Isometry3::translation(0.08, 0.0, 0.0),
+        size: Vector3::new(0.04, 0.1, 0.07),
+    });
+    let load = Load { name: "sponge".into(), mass_kg: 0.15, center_in_tcp: Point3::origin(), shape };
+    robot.set_load("right_hand", Some(load)).unwrap();
     let limbs = ["left_arm", "right_arm", "torso"];
     let leases: Vec<Lease> =
         limbs.iter().map(|limb| robot.lease(limb, "bench", LeaseLimits::default()).unwrap()).collect();
-    let mut sample = Sample::resting(&model, model.zero());
+    let mut sample = Sample::resting(&model, model.ready("right_arm").to_vec());
     let mut now_ms = 0_u64;
     bencher.bench_local(|| {
         now_ms += 1;

@@ -4,7 +4,7 @@
 //! ([`Bodies::new`]); the others are watched by [`Distances`], which knows one configuration and computes a distance
 //! anew only when its bodies may have moved by more than its answer allows. It commands nothing: the guard does.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
@@ -14,15 +14,18 @@ use parry3d_f64::shape::{Cuboid, Cylinder, SharedShape};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{Geometry, Joint, Kinematics, LinkId, Mesh, Model};
+use crate::{Geometry, Joint, JointKind, Kinematics, LinkId, Load, Mesh, Model};
 
 /// Distance that two bodies keep, m.
 pub(crate) const KEPT: f64 = 0.02;
 /// Bodies that are farther apart than this, m, are not looked at more closely.
 pub(crate) const FAR: f64 = 0.3;
-/// Bodies with at most this many joints between them are kept apart by the limits of those joints: an upper arm and the trunk
+/// Bodies that turn, with at most this many joints between them are kept apart by the limits of those joints: an upper arm and the trunk
 /// that carries its shoulder, a hand and the forearm that carries its wrist.
 const NEAR_IN_CHAIN: usize = 3;
+/// Bodies with at most this many joints between them and what the robot stands on, such as hips, are as far from known boxes as it
+/// stands.
+const NEAR_THE_BASE: usize = 2;
 /// Bodies that are nearer than this at the start, m, are taken for neighbours.
 const NEIGHBOURS: f64 = 0.03;
 /// Random configurations in which pairs are looked at, and the share of them in which neighbours are near.
@@ -38,6 +41,8 @@ struct Body {
     /// The link whose frame its parts are in.
     link: LinkId,
     parts: Vec<Part>,
+    /// A known box or a load; `None` for the robot's own bodies.
+    name: Option<String>,
     /// A ball around all shapes: centre in the link's frame, radius in m.
     center: Point3<f64>,
     radius: f64,
@@ -92,6 +97,14 @@ pub struct KnownBox {
     pub size: Vector3<f64>,
 }
 
+impl KnownBox {
+    /// Whether its edges have a length, and everything is finite.
+    pub fn is_box(&self) -> bool {
+        self.size.iter().all(|edge| edge.is_finite() && *edge > 0.0)
+            && self.root_from_box.to_homogeneous().iter().all(|c| c.is_finite())
+    }
+}
+
 impl Bodies {
     /// The bodies of a robot. Left out are pairs that its SRDF says may touch, pairs with at most three joints between them, the
     /// links of one hand or head, and pairs that are nearer than 30 mm at the start or in 95 % of random configurations: they
@@ -131,26 +144,90 @@ impl Bodies {
         Self { bodies, pairs }
     }
 
-    /// With boxes, from which every body that moves has to stay apart.
-    pub(crate) fn with_boxes<'a>(&self, model: &Model, boxes: impl Iterator<Item = &'a KnownBox>) -> Self {
-        let (mut all, mut pairs) = (self.bodies.clone(), self.pairs.clone());
+    /// With what the hands hold, by their names, and boxes, from which every body that moves has to stay apart, but for those that
+    /// at most two joints turn. A load stays apart from what its hand has to stay apart from.
+    pub(crate) fn with(&self, model: &Model, loads: &BTreeMap<String, Load>, boxes: &[KnownBox]) -> Self {
+        let mut all = Self { bodies: self.bodies.clone(), pairs: self.pairs.clone() };
+        for arm in model.arms() {
+            let load = arm.hand.as_ref().and_then(|hand| loads.get(hand));
+            let (Some(load), Some(tcp)) = (load, arm.tcp) else { continue };
+            all.add_load(model, tcp, load, loads);
+        }
         let root = LinkId(0);
         let root_from_body = model.link_pose(&[], root);
+        let own = all.bodies.len();
         for known in boxes {
-            let shape = SharedShape::new(Cuboid::new(vector(&(known.size / 2.0))));
             let body_from_shape = root_from_body.inverse() * known.root_from_box;
-            let mut body = Body::new(root, Part { link: root, body_from_shape, shape });
-            body.enclose();
-            let index = all.len();
-            let moving =
-                (0..self.bodies.len()).filter(|&a| model.motions(self.bodies[a].link).next().is_some());
-            pairs.extend(moving.map(|a| {
-                let parts = (0..self.bodies[a].parts.len()).map(|part| [part, 0]).collect();
-                Pair { bodies: [a, index], parts }
-            }));
-            all.push(body);
+            let index = all.add_box(root, body_from_shape, &known.size, &known.name);
+            let moving = (0..own).filter(|&a| goes_far(model, all.bodies[a].link));
+            let pairs: Vec<Pair> = moving.map(|a| all.whole([a, index])).collect();
+            all.pairs.extend(pairs);
         }
-        Self { bodies: all, pairs }
+        all
+    }
+
+    fn add_load(&mut self, model: &Model, tcp: LinkId, load: &Load, loads: &BTreeMap<String, Load>) {
+        let Some(shape) = &load.shape else { return };
+        let carrier = carrier(model, tcp);
+        let body_from_tcp = model.link_pose(&[], carrier).inv_mul(&model.link_pose(&[], tcp));
+        let before = self.pairs.len();
+        let index = self.add_box(carrier, body_from_tcp * shape.tcp_from_box, &shape.size, &load.name);
+        // Hands that hold the same thing touch it.
+        let holders = model.arms().filter(|arm| {
+            arm.hand.as_ref().and_then(|hand| loads.get(hand)).is_some_and(|other| other.name == load.name)
+        });
+        let holders: Vec<usize> =
+            holders.filter_map(|arm| arm.tcp).flat_map(|tcp| self.beyond(model, tcp)).collect();
+        let hand = self.bodies.iter().position(|body| body.link == carrier && body.name.is_none());
+        for pair in 0..before {
+            let [a, b] = self.pairs[pair].bodies;
+            let other = if Some(a) == hand { b } else if Some(b) == hand { a } else { continue };
+            let same = self.bodies[other].name.as_ref() == Some(&load.name);
+            if !same && !holders.contains(&other) {
+                self.pairs.push(self.whole([other, index]));
+            }
+        }
+    }
+
+    fn add_box(
+        &mut self,
+        link: LinkId,
+        body_from_shape: Isometry3<f64>,
+        size: &Vector3<f64>,
+        name: &str,
+    ) -> usize {
+        let shape = SharedShape::new(Cuboid::new(vector(&(size / 2.0))));
+        let mut body = Body::new(link, Part { link, body_from_shape, shape });
+        body.name = Some(name.to_owned());
+        body.enclose();
+        self.bodies.push(body);
+        self.bodies.len() - 1
+    }
+
+    /// Two bodies with all their parts.
+    fn whole(&self, bodies: [usize; 2]) -> Pair {
+        let [a, b] = bodies.map(|body| self.bodies[body].parts.len());
+        Pair { bodies, parts: (0..a).flat_map(|i| (0..b).map(move |k| [i, k])).collect() }
+    }
+
+    /// Only a hand's bodies against a box.
+    pub(crate) fn before(&self, model: &Model, tcp: LinkId, known: &KnownBox) -> Self {
+        let mut all = self.with(model, &BTreeMap::new(), std::slice::from_ref(known));
+        let (hand, board) = (all.beyond(model, tcp), all.bodies.len() - 1);
+        all.pairs.retain(|Pair { bodies: [a, b], .. }| *b == board && hand.contains(a));
+        all
+    }
+
+    /// The bodies of a hand: what carries its TCP, and what is attached to that.
+    pub(crate) fn beyond(&self, model: &Model, tcp: LinkId) -> Vec<usize> {
+        let hand: BTreeSet<LinkId> = model.subtree(carrier(model, tcp)).collect();
+        (0..self.bodies.len()).filter(|&body| hand.contains(&self.bodies[body].link)).collect()
+    }
+
+    /// What a body is called: as a known box or a load, or as the link that carries it.
+    pub(crate) fn name<'a>(&'a self, model: &'a Model, body: usize) -> &'a str {
+        let body = &self.bodies[body];
+        body.name.as_deref().unwrap_or(&model.links()[body.link.0].name)
     }
 
     /// The links of the pairs that have to stay apart.
@@ -158,24 +235,24 @@ impl Bodies {
         self.pairs.iter().map(|pair| pair.bodies.map(|body| self.bodies[body].link))
     }
 
-    /// The bodies of a pair, as indices: those of the robot come first, then boxes in the order in which they came.
+    /// The bodies of a pair, as indices: those of the robot come first, then loads, then boxes.
     pub(crate) fn pair(&self, pair: usize) -> [usize; 2] {
         self.pairs[pair].bodies
     }
 
-    /// The link that carries a body.
-    pub(crate) fn carrier(&self, body: usize) -> LinkId {
-        self.bodies[body].link
+    /// Whether a body is the robot's own, or what it holds; not a known box.
+    pub(crate) fn is_own(&self, body: usize) -> bool {
+        let body = &self.bodies[body];
+        body.name.is_none() || body.link != LinkId(0)
     }
 
-    /// For each link, the radius of a ball around its origin that holds the body that it carries, m.
+    /// For the links that carry a body which moves, the radius of a ball around the link's origin that holds it, m.
     pub(crate) fn radii(&self) -> impl Iterator<Item = (LinkId, f64)> {
-        self.bodies.iter().map(|body| (body.link, body.center.coords.norm() + body.radius))
+        self.bodies.iter().filter(|body| body.link != LinkId(0)).map(|body| (body.link, body.center.coords.norm() + body.radius))
     }
 }
 
-/// The least distance of all pairs at one configuration, m, computed anew: for referees.
-#[cfg(test)]
+/// The least distance of all pairs at one configuration, m, computed anew: for referees and conformance.
 pub(crate) fn least_distance(bodies: &Bodies, kinematics: &Kinematics) -> f64 {
     let exact =
         |pair: &Pair| pair.nearest(kinematics, &bodies.bodies).map_or_else(|far| far, |near| near.distance);
@@ -186,6 +263,15 @@ pub(crate) fn least_distance(bodies: &Bodies, kinematics: &Kinematics) -> f64 {
 fn anywhere(joint: &Joint, rng: &mut ChaCha8Rng) -> f64 {
     let (lower, upper) = (joint.lower.max(-std::f64::consts::PI), joint.upper.min(std::f64::consts::PI));
     if lower < upper { rng.random_range(lower..upper) } else { lower }
+}
+
+/// Whether a link is moved by a platform alone, slides, or is turned by enough joints to come near to what stands around.
+fn goes_far(model: &Model, link: LinkId) -> bool {
+    let drives = |joint: usize| model.platform().is_some_and(|platform| platform.joints.contains(&joint));
+    let (driven, own): (Vec<usize>, Vec<usize>) =
+        model.motions(link).map(|(_, motion)| motion.joint).partition(|&joint| drives(joint));
+    let slides = own.iter().any(|&joint| model.joints()[joint].kind == JointKind::Prismatic);
+    own.len() > NEAR_THE_BASE || slides || (own.is_empty() && !driven.is_empty())
 }
 
 /// The joints that move one of two links but not the other.
@@ -258,7 +344,7 @@ fn hull(mesh: &Mesh) -> (Isometry3<f64>, SharedShape) {
 impl Body {
     /// A body of one part; its ball is not yet known.
     fn new(link: LinkId, part: Part) -> Self {
-        Self { link, parts: vec![part], center: Point3::origin(), radius: 0.0 }
+        Self { link, parts: vec![part], name: None, center: Point3::origin(), radius: 0.0 }
     }
 
     /// Puts the ball around all shapes.

@@ -1,7 +1,7 @@
 //! The data between skills and a robot: samples of the sensors, limits of a lease, and why a command is refused.
 //! The trait is [`Robot`](crate::Robot).
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 /// A sample of all the robot's sensors. Joint arrays are in the order of the model's joints.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,12 +64,30 @@ pub struct Load {
     pub mass_kg: f64,
     /// Its centre, in the frame of the hand's TCP, m.
     pub center_in_tcp: Point3<f64>,
+    /// The box that it fills, if that is known: bodies keep their distance from it.
+    pub shape: Option<LoadShape>,
+}
+
+/// The box that a load fills.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoadShape {
+    /// The pose of its middle in the frame of the hand's TCP.
+    pub tcp_from_box: Isometry3<f64>,
+    /// Edge lengths along its x, y, z, m.
+    pub size: Vector3<f64>,
 }
 
 impl Load {
     /// Whether the mass is not negative and everything is finite.
     pub(crate) fn is_physical(&self) -> bool {
-        self.mass_kg.is_finite() && self.mass_kg >= 0.0 && self.center_in_tcp.iter().all(|c| c.is_finite())
+        let is_box = |shape: &LoadShape| {
+            let placed = shape.tcp_from_box.to_homogeneous().iter().all(|c| c.is_finite());
+            placed && shape.size.iter().all(|edge| edge.is_finite() && *edge > 0.0)
+        };
+        self.mass_kg.is_finite()
+            && self.mass_kg >= 0.0
+            && self.center_in_tcp.iter().all(|c| c.is_finite())
+            && self.shape.as_ref().is_none_or(is_box)
     }
 }
 
@@ -124,7 +142,7 @@ pub enum Fault {
         /// Number of velocities in the command.
         got: usize,
     },
-    /// The robot was stopped permanently.
+    /// The robot was stopped.
     #[error("the robot is stopped: {reason}")]
     Stopped {
         /// Why.
@@ -152,7 +170,10 @@ pub enum LeaseError {
         /// Comma-separated names.
         known: String,
     },
-    /// The robot has been stopped permanently (emergency stop).
+    /// No limb is named.
+    #[error("a lease is of one limb at least")]
+    Nothing,
+    /// The robot has been stopped and not been reset since.
     #[error("the robot is stopped: {reason}")]
     Stopped {
         /// Why.

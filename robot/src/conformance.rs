@@ -1,15 +1,19 @@
 //! The rules that every robot driver must follow, whatever moves its joints. A driver's test calls [`check`].
 //!
 //! The robot must be running (a task that steps the guard, or a real robot), with tokio's clock. The check moves
-//! the limb by a few tenths of a radian and ends with the robot stopped permanently. It uses only the [`Robot`]
+//! the limb by some tenths of a radian and ends with the robot stopped and reset. It uses only the [`Robot`]
 //! trait.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 
+use crate::bodies::{Bodies, least_distance};
+use crate::planning::KnownBox;
 use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, LinkId, Model, Robot, Sensed, newest};
 
 /// A joint slower than this stands still, rad/s (m/s).
@@ -21,6 +25,10 @@ pub const STANDING_WITHIN_NS: u64 = 200_000_000;
 const MEAN_NS: u64 = 50_000_000;
 /// What a tared sensor may feel of a resting hand, N: its noise.
 const TARED_N: f64 = 2.0;
+/// The least distance of two bodies that anybody may ever see, m; the guard keeps 20 mm.
+const APART: f64 = 0.005;
+/// Random postures of the limb in which a collision is looked for.
+const POSTURES: u32 = 300;
 /// Longest wait for one sample.
 const SAMPLE_WITHIN: Duration = Duration::from_secs(1);
 
@@ -43,6 +51,7 @@ pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> 
     probe.samples_come_in_order().await?;
     probe.every_sensor_is_tared_by_itself().await?;
     probe.leases_are_exclusive()?;
+    probe.limbs_are_leased_together_or_not_at_all()?;
     probe.commands_move_the_joints().await?;
     probe.lease_limits_bound_the_tcp_speed().await?;
     probe.lease_limits_hold_whichever_joints_move_the_tcp().await?;
@@ -50,7 +59,9 @@ pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> 
     probe.a_silent_commander_is_faulted().await?;
     probe.nonsense_is_refused().await?;
     probe.a_panic_brakes().await?;
-    probe.stop_is_final().await
+    probe.bodies_stay_apart().await?;
+    probe.the_hand_stays_away_from_what_is_known().await?;
+    probe.a_stop_lasts_until_it_is_reset().await
 }
 
 /// Full speed of `joints`, each away from its nearer limit.
@@ -208,6 +219,129 @@ impl<'a> Probe<'a> {
         Ok(())
     }
 
+    fn limbs_are_leased_together_or_not_at_all(&mut self) -> Result<(), Violation> {
+        self.rule = "several limbs are leased together or not at all";
+        let model = Arc::clone(self.robot.model());
+        let apart = |limb: &&String| model.limb(limb).iter().all(|joint| !self.joints.contains(joint));
+        let Some(other) = model.limbs().keys().find(apart) else { return Ok(()) };
+        let none = LeaseLimits::default();
+        let both = [self.limb, other.as_str()];
+        let held = self.lease(none)?;
+        match self.robot.lease_together(&[other.as_str(), self.limb], "another", none, &[]) {
+            Err(LeaseError::Taken { limb, .. }) if limb == self.limb => {}
+            unexpected => return self.broken(format!("with one of them taken: {unexpected:?}")),
+        }
+        drop(held);
+        let Ok(lease) = self.robot.lease_together(&both, "conformance", none, &[]) else {
+            return self.broken(format!("`{}` and `{other}` are free and were refused", self.limb));
+        };
+        let joints = self.joints.len() + model.limb(other).len();
+        if let Err(fault) = lease.command(&vec![0.0; joints]) {
+            return self.broken(format!("a command for both was refused: {fault}"));
+        }
+        for limb in both {
+            if !matches!(self.robot.lease(limb, "another", none), Err(LeaseError::Taken { .. })) {
+                return self.broken(format!("`{limb}` was leased twice"));
+            }
+        }
+        drop(lease);
+        both.iter().try_for_each(|limb| match self.robot.lease(limb, "another", none) {
+            Ok(_) => Ok(()),
+            Err(error) => self.broken(format!("`{limb}` is not free again: {error}")),
+        })
+    }
+
+    /// Drives the limb towards a posture in which bodies of the robot would overlap.
+    async fn bodies_stay_apart(&mut self) -> Result<(), Violation> {
+        self.rule = "bodies of the robot stay apart, whatever is commanded";
+        let model = Arc::clone(self.robot.model());
+        let bodies = Bodies::new(&model);
+        let mut kinematics = Kinematics::new(&model);
+        let start = self.sample().await?;
+        kinematics.update(&start.position);
+        let before = least_distance(&bodies, &kinematics);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut goal = start.position.clone();
+        let overlaps = (0..POSTURES).any(|_| {
+            for &j in &self.joints {
+                let joint = &model.joints()[j];
+                let (lower, upper) = (joint.lower.max(-3.0), joint.upper.min(3.0));
+                goal[j] = if lower < upper { rng.random_range(lower..upper) } else { lower };
+            }
+            kinematics.update(&goal);
+            least_distance(&bodies, &kinematics) < 0.0
+        });
+        if !overlaps {
+            return Ok(());
+        }
+        let lease = self.lease(LeaseLimits::default())?;
+        loop {
+            let now = self.sample().await?;
+            let towards = |&j: &usize| (goal[j] - now.position[j]) * 5.0;
+            let command: Vec<f64> = self.joints.iter().map(towards).collect();
+            if let Err(fault) = lease.command(&command) {
+                return self.broken(format!("a sound command was refused: {fault}"));
+            }
+            kinematics.update(&now.position);
+            let distance = least_distance(&bodies, &kinematics);
+            if distance < APART.min(before - APART) {
+                return self.broken(format!("two bodies came within {:.1} mm", distance * 1e3));
+            }
+            if now.stamp_ns > start.stamp_ns + 1_000_000_000 {
+                break;
+            }
+        }
+        drop(lease);
+        self.stands().await
+    }
+
+    /// Puts a board before the hand and drives it there at full speed.
+    async fn the_hand_stays_away_from_what_is_known(&mut self) -> Result<(), Violation> {
+        self.rule = "a hand stops before what is known to be there, unless its lease names it";
+        let model = Arc::clone(self.robot.model());
+        let Some(tcp) = model.find_limb(self.limb).and_then(|limb| limb.tcp) else { return Ok(()) };
+        let start = self.sample().await?;
+        let command = full_speed(&model, &self.joints, &start);
+        let mut speeds = vec![0.0; model.joints().len()];
+        self.joints.iter().zip(&command).for_each(|(&j, speed)| speeds[j] = *speed);
+        let mut kinematics = Kinematics::new(&model);
+        kinematics.update(&start.position);
+        let way = kinematics.twist(tcp, &Point3::origin(), &speeds).linear;
+        let Some(way) = way.try_normalize(1e-3) else { return Ok(()) };
+        let facing = UnitQuaternion::rotation_between(&Vector3::z(), &way).unwrap_or_default();
+        let at = kinematics.pose(tcp).translation.vector + way * 0.3;
+        let board = KnownBox {
+            name: "board".into(),
+            root_from_box: Isometry3::from_parts(at.into(), facing),
+            size: Vector3::new(0.6, 0.6, 0.02),
+        };
+        let bodies = Bodies::new(&model).before(&model, tcp, &board);
+        let before = least_distance(&bodies, &kinematics);
+        if let Err(error) = self.robot.set_surroundings(vec![board]) {
+            return self.broken(error.to_string());
+        }
+        let lease = self.lease(LeaseLimits::default())?;
+        loop {
+            if let Err(fault) = lease.command(&command) {
+                return self.broken(format!("a sound command was refused: {fault}"));
+            }
+            let now = self.sample().await?;
+            kinematics.update(&now.position);
+            let distance = least_distance(&bodies, &kinematics);
+            if distance < APART.min(before - APART) {
+                return self.broken(format!("it came within {:.1} mm", distance * 1e3));
+            }
+            if now.stamp_ns > start.stamp_ns + 700_000_000 {
+                break;
+            }
+        }
+        drop(lease);
+        if let Err(error) = self.robot.set_surroundings(Vec::new()) {
+            return self.broken(error.to_string());
+        }
+        self.stands().await
+    }
+
     async fn commands_move_the_joints(&mut self) -> Result<(), Violation> {
         self.rule = "commands are joint velocities in limb order";
         let lease = self.lease(LeaseLimits::default())?;
@@ -359,8 +493,8 @@ impl<'a> Probe<'a> {
         Ok(())
     }
 
-    async fn stop_is_final(&mut self) -> Result<(), Violation> {
-        self.rule = "from full speed, the robot stands within 200 ms after stop, for good";
+    async fn a_stop_lasts_until_it_is_reset(&mut self) -> Result<(), Violation> {
+        self.rule = "from full speed, the robot stands within 200 ms after stop, until it is reset";
         let lease = self.lease(LeaseLimits::default())?;
         self.run(&lease, 1.0, 250_000_000).await?;
         self.robot.stop("conformance");
@@ -369,8 +503,15 @@ impl<'a> Probe<'a> {
             return self.broken(format!("the lease reports {:?}", lease.fault()));
         }
         match self.robot.lease(self.limb, "another", LeaseLimits::default()) {
-            Err(LeaseError::Stopped { .. }) => Ok(()),
-            other => self.broken(format!("a stopped robot gave {other:?}")),
+            Err(LeaseError::Stopped { .. }) => {}
+            other => return self.broken(format!("a stopped robot gave {other:?}")),
         }
+        self.robot.reset();
+        if !matches!(lease.fault(), Some(Fault::Stopped { .. })) {
+            return self.broken("a lease that was stopped commands again after the reset");
+        }
+        drop(lease);
+        drop(self.lease(LeaseLimits::default())?);
+        Ok(())
     }
 }

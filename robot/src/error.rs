@@ -16,13 +16,19 @@ pub enum RobotError {
     },
     /// A load that is not physical.
     #[error(
-        "the load `{name}` of {mass_kg} kg is not physical: mass and centre are finite, the mass is not negative"
+        "the load `{name}` of {mass_kg} kg is not physical: mass, centre and shape are finite, the mass is not negative"
     )]
     Load {
         /// What it is.
         name: String,
         /// Its mass, kg.
         mass_kg: f64,
+    },
+    /// Surroundings that cannot be kept.
+    #[error("the surroundings cannot be used: {why}")]
+    Surroundings {
+        /// What is wrong with them.
+        why: String,
     },
     /// It has no cameras.
     #[error("the robot has no stereo cameras; its robot file names none under `cameras`")]

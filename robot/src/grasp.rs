@@ -1,6 +1,6 @@
 //! Orientations of a hand. Where it grasps is part of its description, so they hold for any hand.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion, Vector3};
 
 use crate::Hand;
 
@@ -13,5 +13,11 @@ impl Hand {
         UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw)
             * level
             * self.grasp_in_tcp.rotation.inverse()
+    }
+
+    /// The outward normal of a surface from which this orientation of the TCP (root from TCP) grasps straight: against the
+    /// approach.
+    pub fn grasps_from(&self, root_from_tcp: &UnitQuaternion<f64>) -> Unit<Vector3<f64>> {
+        Unit::new_normalize(-(root_from_tcp * (self.grasp_in_tcp.rotation * Vector3::x())))
     }
 }

@@ -31,7 +31,7 @@ mod pose_ik;
 mod seam;
 mod wrist;
 
-pub use boundary::{Fault, LeaseError, LeaseLimits, Load, Sensed, SensedWrench, Wrench};
+pub use boundary::{Fault, LeaseError, LeaseLimits, Load, LoadShape, Sensed, SensedWrench, Wrench};
 pub use dummy::{DummyRobot, ServoJoints};
 pub use error::RobotError;
 pub use gaze::Gaze;
@@ -42,7 +42,7 @@ pub use kinematics::{Jacobian, Kinematics, Twist};
 pub use mesh::Mesh;
 pub use model::{
     Collision, GRAVITY, Geometry, Hand, Inertial, Joint, JointKind, JointMotion, Limb, Link, LinkId, Marker,
-    Model, RobotLimits, StereoCamera, Visual, WrenchSensor,
+    Model, Platform, PlatformKind, RobotLimits, StereoCamera, Visual, WrenchSensor,
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use seam::{Commander, GuardedRobot, Lease, Robot};

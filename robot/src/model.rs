@@ -194,6 +194,10 @@ pub struct Hand {
     pub open: Vec<f64>,
     /// Positions of its joints when it is closed, rad (m).
     pub closed: Vec<f64>,
+    /// The shapes that it takes, by their names: positions of its joints, rad (m). `open` and `closed` are two of them.
+    pub shapes: BTreeMap<String, Vec<f64>>,
+    /// The links with which it touches what it holds.
+    pub pads: Vec<LinkId>,
     /// Where it grasps, in the frame of its arm's TCP: the middle of what it holds, x along the approach, y along the
     /// closing direction.
     pub grasp_in_tcp: Isometry3<f64>,
@@ -236,6 +240,36 @@ pub struct StereoCamera {
     pub on: Option<String>,
 }
 
+/// How a platform moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PlatformKind {
+    /// To all sides, and it turns.
+    #[default]
+    Holonomic,
+    /// Forward and backward, along its y, and it turns.
+    Differential,
+    /// It stands still.
+    None,
+}
+
+/// What a robot drives on: three joints between the root frame, which stays where the robot's odometry began, and what was the
+/// root of its description.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Platform {
+    /// How it moves.
+    pub kind: PlatformKind,
+    /// Its joints: x and y in the root frame, m, and its turn about z, rad.
+    pub joints: [usize; 3],
+    /// The link that it carries all others with.
+    pub link: LinkId,
+}
+
+impl Platform {
+    /// The limb of its joints.
+    pub const LIMB: &str = "platform";
+}
+
 /// The robot's own limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotLimits {
@@ -265,6 +299,7 @@ pub struct Model {
     pub(crate) start_posture: Option<String>,
     pub(crate) start: Vec<f64>,
     pub(crate) limits: RobotLimits,
+    pub(crate) platform: Option<Platform>,
     /// Pairs of links that need not keep their distance, each in the order of the links.
     pub(crate) may_touch: BTreeSet<[LinkId; 2]>,
 }
@@ -433,6 +468,20 @@ impl Model {
     pub fn ready(&self, limb: &str) -> &[f64] {
         let ready = self.limbs.get(limb).and_then(|limb| self.postures.get(limb.ready.as_deref()?));
         ready.map_or(&self.start, Vec::as_slice)
+    }
+
+    /// What it drives on.
+    pub fn platform(&self) -> Option<&Platform> {
+        self.platform.as_ref()
+    }
+
+    /// A posture (all joints, rad or m) taken where the platform is in `now`.
+    pub fn taken_at(&self, posture: &[f64], now: &[f64]) -> Vec<f64> {
+        let mut q = posture.to_vec();
+        for joint in self.platform.iter().flat_map(|platform| platform.joints) {
+            q[joint] = now[joint];
+        }
+        q
     }
 
     /// Its own limits.

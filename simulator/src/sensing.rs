@@ -13,6 +13,8 @@ use crate::world::{Faults, NoiseSpec, WrenchFault};
 const TORQUE_SHARE: f64 = 0.05;
 /// Noise of a force axis where a world wants none, N: a sensor that repeats itself bit by bit counts as broken.
 const LEAST_NOISE: f64 = 1e-6;
+/// Time constant of the offsets' drift, s: an offset nears where it drifts to, and after this time drifts to another place.
+const DRIFT_TIME: f64 = 300.0;
 /// Noise of a joint's velocity over that of its angle, 1/s.
 const VELOCITY_SHARE: f64 = 1.0;
 /// Noise of a sliding joint's position over that of a turning joint's, m/rad.
@@ -25,6 +27,7 @@ pub(crate) struct Sensors {
     faults: Faults,
     /// Of each joint, whether it slides.
     sliding: Vec<bool>,
+    odometry: Vec<Odometry>,
     rng: ChaCha8Rng,
     wrenches: Vec<WrenchSensor>,
     /// The wrench sensor that the faults concern: that of the arm that works.
@@ -35,7 +38,7 @@ pub(crate) struct Sensors {
 #[derive(Clone, Debug)]
 struct WrenchSensor {
     bias: [f64; 6],
-    drift: [f64; 6],
+    drift: Drift,
     rng: ChaCha8Rng,
     frozen: Option<Wrench>,
 }
@@ -52,6 +55,7 @@ impl Sensors {
         Self {
             noise: noise.clone(),
             faults: faults.clone(),
+            odometry: Odometry::all(model, noise, &mut stream(64)),
             sliding: model.joints().iter().map(|joint| joint.kind == JointKind::Prismatic).collect(),
             rng: stream(0),
             wrenches: (1..).zip(model.wrenches()).map(|(n, _)| WrenchSensor::new(noise, stream(n))).collect(),
@@ -74,6 +78,9 @@ impl Sensors {
             sample.position[j] = position[j] + sigma * a;
             sample.velocity[j] = velocity[j] + VELOCITY_SHARE * sigma * b;
         }
+        for odometry in &mut self.odometry {
+            sample.position[odometry.joint] += odometry.error(position[odometry.joint]);
+        }
         let frozen = self.faults.wrench == WrenchFault::Frozen && t >= self.faults.from;
         for (i, (sensor, truth)) in self.wrenches.iter_mut().zip(wrenches).enumerate() {
             let felt = sensor.sense(t, &truth, self.noise.wrench);
@@ -93,16 +100,16 @@ impl WrenchSensor {
         let bias = std::array::from_fn(|axis| {
             noise.wrench_bias * share(axis) * rng.sample::<f64, _>(StandardNormal)
         });
-        let drift =
-            std::array::from_fn(|axis| noise.wrench_drift * share(axis) * (2.0 * rng.random::<f64>() - 1.0));
+        let drift = Drift::new(noise.wrench_drift, &mut rng);
         Self { bias, drift, rng, frozen: None }
     }
 
     fn sense(&mut self, t: f64, truth: &Wrench, sigma: f64) -> Wrench {
         let sigma = sigma.max(LEAST_NOISE);
+        let drift = self.drift.at(t, &mut self.rng);
         let offset: [f64; 6] = std::array::from_fn(|axis| {
             self.bias[axis]
-                + self.drift[axis] * t
+                + drift[axis]
                 + sigma * share(axis) * self.rng.sample::<f64, _>(StandardNormal)
         });
         Wrench {
@@ -112,10 +119,96 @@ impl WrenchSensor {
     }
 }
 
+/// The error of one joint of a platform: its wheels slip by a share of the way.
+#[derive(Clone, Debug)]
+struct Odometry {
+    joint: usize,
+    slip: f64,
+    /// Where it was in the last step, m or rad, and the error since the start.
+    last: Option<f64>,
+    off: f64,
+}
+
+impl Odometry {
+    fn all(model: &Model, noise: &NoiseSpec, rng: &mut ChaCha8Rng) -> Vec<Self> {
+        let joints = model.platform().into_iter().flat_map(|platform| platform.joints);
+        let slip = |rng: &mut ChaCha8Rng| noise.odometry * rng.sample::<f64, _>(StandardNormal);
+        joints.map(|joint| Self { joint, slip: slip(rng), last: None, off: 0.0 }).collect()
+    }
+
+    fn error(&mut self, position: f64) -> f64 {
+        // There and back again does not undo the error.
+        self.off += self.slip * (position - self.last.replace(position).unwrap_or(position)).abs();
+        self.off
+    }
+}
+
+/// A random walk that returns: each axis nears a goal exponentially, and draws another one each [`DRIFT_TIME`]. So it leaves its
+/// place at the rate that the world says, and stays within that rate times [`DRIFT_TIME`].
+#[derive(Clone, Debug)]
+struct Drift {
+    /// Fastest rate of a force axis, N/s.
+    rate: f64,
+    /// Number of the goal.
+    leg: u64,
+    /// Where each axis was when the goal was drawn, and the goal, N and N m.
+    from: [f64; 6],
+    to: [f64; 6],
+}
+
+impl Drift {
+    fn new(rate: f64, rng: &mut ChaCha8Rng) -> Self {
+        let mut drift = Self { rate, leg: 0, from: [0.0; 6], to: [0.0; 6] };
+        drift.to = drift.goal(rng);
+        drift
+    }
+
+    fn goal(&self, rng: &mut ChaCha8Rng) -> [f64; 6] {
+        std::array::from_fn(|axis| {
+            self.rate * DRIFT_TIME * share(axis) * (2.0 * rng.random::<f64>() - 1.0)
+        })
+    }
+
+    /// The offsets at `t` s, which never goes back.
+    fn at(&mut self, t: f64, rng: &mut ChaCha8Rng) -> [f64; 6] {
+        while t >= (self.leg + 1) as f64 * DRIFT_TIME {
+            self.leg += 1;
+            self.from = self.after(DRIFT_TIME);
+            self.to = self.goal(rng);
+        }
+        self.after(t - self.leg as f64 * DRIFT_TIME)
+    }
+
+    fn after(&self, since: f64) -> [f64; 6] {
+        let kept = (-since / DRIFT_TIME).exp();
+        std::array::from_fn(|axis| self.to[axis] + (self.from[axis] - self.to[axis]) * kept)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use rand::SeedableRng;
+
+    #[test]
+    fn the_drift_begins_at_its_rate_returns_and_is_bounded() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut drift = Drift::new(0.01, &mut rng);
+        let rates = drift.to.map(|goal| goal / DRIFT_TIME);
+        let soon = drift.at(30.0, &mut rng);
+        for axis in 0..6 {
+            assert!((soon[axis] - 30.0 * rates[axis]).abs() < 0.06 * 30.0 * rates[axis].abs());
+        }
+        let (mut most, mut before, mut turned) = (0.0_f64, 0.0, 0);
+        for minute in 1..600 {
+            let now = drift.at(60.0 * f64::from(minute), &mut rng);
+            assert!(now.iter().enumerate().all(|(axis, offset)| offset.abs() <= 3.0 * share(axis)));
+            most = most.max(now[0].abs());
+            turned += u32::from(now[0] * before < 0.0);
+            before = now[0];
+        }
+        assert!(most > 1.0 && turned > 5, "{most} N, {turned} times through zero");
+    }
 
     fn sensors(model: &Model, faults: Faults) -> Sensors {
         let stream = |n: u64| ChaCha8Rng::seed_from_u64(7 + n);

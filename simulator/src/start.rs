@@ -139,16 +139,26 @@ pub fn robots(
 ) -> Result<Vec<RobotStart>, SimulationError> {
     let mut posture = posture;
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xe770_0255);
+    let mut is_first = true;
     let begin = |spec: &RobotSpec| {
         let model = spec.model()?;
         let arm = spec.arm(&model).ok_or(SimulationError::Arm)?.name.clone();
-        let position = posture.take().unwrap_or_else(|| model.start_of(&arm).to_vec());
+        let mut position = posture.take().unwrap_or_else(|| model.start_of(&arm).to_vec());
         let joints = model.joints().len();
         if position.len() != joints || !position.iter().all(|q| q.is_finite()) {
             return Err(SimulationError::Start { expected: joints });
         }
         let errors = Errors::draw(&world.physics.0, &model, &mut rng);
-        let (name, room_from_root) = (spec.name.clone(), spec.world_from_root());
+        let (name, mut room_from_root) = (spec.name.clone(), spec.world_from_root());
+        if std::mem::take(&mut is_first) {
+            // Its root is the room's origin; what stands elsewhere is its platform.
+            for (joint, at) in model.platform().into_iter().flat_map(|platform| {
+                platform.joints.into_iter().zip([spec.at[0], spec.at[1], spec.yaw_deg.to_radians()])
+            }) {
+                position[joint] += at;
+            }
+            room_from_root = Isometry3::identity();
+        }
         Ok(RobotStart { name, model, arm, room_from_root, position, errors, pads: Vec::new() })
     };
     [&world.robot].into_iter().chain(&world.robots).map(begin).collect()

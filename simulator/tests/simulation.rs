@@ -155,14 +155,19 @@ async fn frames_come_at_their_rate_to_those_who_wait() {
 
 /// The conformance suite for robot drivers, with real physics.
 #[tokio::test(start_paused = true)]
-async fn the_simulated_robot_conforms() {
-    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand", "left_hand"] {
-        let (simulation, _) = simulation(&World::default(), 5);
-        let (robot, handle) = (simulation.robot(), simulation.handle());
-        let task = tokio::spawn(simulation.run());
-        armarium_robot::conformance::check(&robot, limb).await.unwrap_or_else(|e| panic!("{limb}: {e}"));
-        handle.stop();
-        task.await.unwrap();
+async fn every_limb_of_every_simulated_robot_conforms() {
+    for name in armarium_robot::description::shipped_robots() {
+        let mut world = World::default();
+        name.clone_into(&mut world.robot.model);
+        for limb in world.model().unwrap().limbs().keys() {
+            let (simulation, _) = simulation(&world, 5);
+            let (robot, handle) = (simulation.robot(), simulation.handle());
+            let task = tokio::spawn(simulation.run());
+            let checked = armarium_robot::conformance::check(&robot, limb).await;
+            checked.unwrap_or_else(|violation| panic!("{name}, {limb}: {violation}"));
+            handle.stop();
+            task.await.unwrap();
+        }
     }
 }
 

@@ -16,6 +16,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
+use crate::grasp::held_in_tcp;
+use crate::places::places_at;
 
 /// Gain of the TCP's position and orientation error, 1/s.
 const TRACKING_GAIN: f64 = 12.0;
@@ -116,50 +118,48 @@ pub(crate) fn force_at(sensor: usize, sample: &Sensed) -> Vector3<f64> {
     sample.wrenches.get(sensor).map_or_else(Vector3::zeros, |felt| felt.external.force)
 }
 
-/// Where an arm works: the pose of its TCP in the posture in which it is ready (root from TCP).
-pub(crate) fn workspace(model: &Model, arm: &Limb) -> Result<Isometry3<f64>, Failure> {
-    Ok(model.link_pose(model.ready(&arm.name), tcp_of(arm)?))
+/// Where an arm works, with the platform where it is at the positions `now` of all joints: the pose of its TCP in the posture in
+/// which it is ready (root from TCP).
+pub(crate) fn workspace(model: &Model, arm: &Limb, now: &[f64]) -> Result<Isometry3<f64>, Failure> {
+    Ok(model.link_pose(&model.taken_at(model.ready(&arm.name), now), tcp_of(arm)?))
 }
 
-/// An arm and the limbs that help it, leased.
+/// An arm and the limbs that help it, leased together.
 pub(crate) struct ArmLeases {
-    /// Each with the number of its joints: the helpers, then the arm.
-    leases: Vec<(Lease, usize)>,
-    /// Their joints, in this order.
+    lease: Lease,
+    /// The joints of the helpers, then the arm's.
     pub(crate) joints: Vec<usize>,
 }
 
 impl ArmLeases {
-    /// Leases an arm, after the limbs that help it, as far as nobody else commands them.
-    pub(crate) fn take(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
+    /// Leases an arm, with the limbs that help it, as far as nobody else commands them. Its hand may come near to the places in
+    /// memory at which it is, or would be with its TCP at one of `targets` (root frame).
+    pub(crate) async fn take(
+        equipment: &Equipment,
+        context: &SkillContext,
+        arm: &Limb,
+        targets: &[Isometry3<f64>],
+    ) -> Result<Self, Failure> {
+        let touches = at_hand(equipment, arm, targets).await?;
+        let mut limbs: Vec<&str> = arm.helped_by.iter().chain([&arm.name]).map(String::as_str).collect();
+        let lease = loop {
+            match try_lease(equipment, context, &limbs, &touches) {
+                Err(LeaseError::Taken { limb, .. }) if limb != arm.name => limbs.retain(|name| *name != limb),
+                lease => break lease.map_err(|error| Failure::new(error.to_string()))?,
+            }
+        };
         let model = equipment.robot.model();
-        let mut taken = Self { leases: Vec::new(), joints: Vec::new() };
-        for limb in arm.helped_by.iter().chain([&arm.name]) {
-            let lease = match try_lease(equipment, context, limb) {
-                Err(LeaseError::Taken { .. }) if *limb != arm.name => continue,
-                lease => lease.map_err(|error| Failure::new(error.to_string()))?,
-            };
-            taken.leases.push((lease, model.limb(limb).len()));
-            taken.joints.extend(model.limb(limb));
-        }
-        Ok(taken)
+        Ok(Self { lease, joints: limbs.iter().flat_map(|limb| model.limb(limb)).copied().collect() })
     }
 
-    /// Gives each limb its part of the velocities, in the order of the joints.
+    /// Sets the velocities, in the order of the joints.
     pub(crate) fn command(&self, velocities: &[f64]) -> Result<(), Failure> {
-        let mut rest = velocities;
-        let mut commanded = Ok(());
-        for (lease, joints) in &self.leases {
-            let (own, others) = rest.split_at((*joints).min(rest.len()));
-            commanded = commanded.and(lease.command(own));
-            rest = others;
-        }
-        commanded.map_err(|fault| Failure::new(fault.to_string()))
+        self.lease.command(velocities).map_err(|fault| Failure::new(fault.to_string()))
     }
 
-    /// Why a limb was taken away, if one was.
+    /// Why the limbs were taken away, if they were.
     pub(crate) fn fault(&self) -> Option<Fault> {
-        self.leases.iter().find_map(|(lease, _)| lease.fault())
+        self.lease.fault()
     }
 }
 
@@ -176,10 +176,14 @@ pub(crate) struct Arm {
 }
 
 impl Arm {
-    /// Leases the arm that the input names, and what helps it, for the skill in `context`.
-    pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+    /// Leases the arm that the input names, and what helps it, for the skill in `context`, whose TCP goes to `targets`.
+    pub(crate) async fn take(
+        equipment: &Equipment,
+        context: &SkillContext,
+        targets: &[Isometry3<f64>],
+    ) -> Result<Self, Failure> {
         let limb = chosen(equipment, context)?;
-        let leases = ArmLeases::take(equipment, context, limb)?;
+        let leases = ArmLeases::take(equipment, context, limb, targets).await?;
         let model = Arc::clone(equipment.robot.model());
         let tcp = tcp_of(limb)?;
         let posture = leases.joints.iter().map(|&j| model.ready(&limb.name)[j]).collect();
@@ -252,12 +256,35 @@ impl Arm {
     }
 }
 
-/// Leases a limb, with the chart's limits.
-pub(crate) fn lease(equipment: &Equipment, context: &SkillContext, limb: &str) -> Result<Lease, Failure> {
-    try_lease(equipment, context, limb).map_err(|error| Failure::new(error.to_string()))
+/// Leases a limb, with the chart's limits. Its hand may come near to what `touches` names.
+pub(crate) fn lease(
+    equipment: &Equipment,
+    context: &SkillContext,
+    limb: &str,
+    touches: &[String],
+) -> Result<Lease, Failure> {
+    try_lease(equipment, context, &[limb], touches).map_err(|error| Failure::new(error.to_string()))
 }
 
-fn try_lease(equipment: &Equipment, context: &SkillContext, limb: &str) -> Result<Lease, LeaseError> {
+fn try_lease(
+    equipment: &Equipment,
+    context: &SkillContext,
+    limbs: &[&str],
+    touches: &[String],
+) -> Result<Lease, LeaseError> {
     let limits = LeaseLimits { force_n: context.limits.force_n, speed_m_s: context.limits.speed_m_s };
-    equipment.robot.lease(limb, &context.state, limits)
+    equipment.robot.lease_together(limbs, &context.state, limits, touches)
+}
+
+/// The places in memory at which an arm's hand is, or would be with its TCP at one of `targets` (root frame): what it works on.
+pub(crate) async fn at_hand(
+    equipment: &Equipment,
+    arm: &Limb,
+    targets: &[Isometry3<f64>],
+) -> Result<Vec<String>, Failure> {
+    let model = equipment.robot.model();
+    let Some(hand) = model.hand_of(arm) else { return Ok(Vec::new()) };
+    let here = model.link_pose(&equipment.robot.sensed().borrow().position, tcp_of(arm)?);
+    let grasps = targets.iter().chain([&here]).map(|root_from_tcp| root_from_tcp * held_in_tcp(hand));
+    places_at(&*equipment.memory, &grasps.collect::<Vec<_>>()).await
 }

@@ -3,22 +3,21 @@
 //! Asked before an arm sets out, with the place of every joint: is the straight way free, and if not, is there another one?
 //! What nobody has told memory is not known. A thing that the hand is at, or goes to, is what it works on and in no way.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{Memory, Pattern, Query, Snapshot};
 use armarium_motion::StraightLine;
 use armarium_robot::planning::{KnownBox, PlanError, Planner};
 use armarium_robot::{
-    DifferentialIk, IkConfig, Limb, LinkId, Model, PoseOptions, Twist, pose_error, solve_pose,
+    DifferentialIk, IkConfig, Limb, LinkId, Load, Model, PoseOptions, Twist, pose_error, solve_pose,
 };
 use armarium_runtime::skill::Failure;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3};
 
 use crate::arm::Senses;
 use crate::equipment::Equipment;
-use crate::inputs::as_pose;
 use crate::motions::failed;
-use crate::prior::{class_name, object_class};
+use crate::places::{Known, distance, known};
 
 /// A thing that is nearer than this to where the hand grasps is what it works on, m.
 const AT_HAND: f64 = 0.05;
@@ -38,17 +37,12 @@ pub(crate) type Path = Vec<Vec<f64>>;
 pub(crate) struct Around {
     model: Arc<Model>,
     boxes: Vec<KnownBox>,
+    /// What the hands hold.
+    loads: BTreeMap<String, Load>,
     arm: String,
     tcp: LinkId,
     joints: Vec<usize>,
     equipment: Equipment,
-}
-
-/// What memory knows of where something is.
-struct Known {
-    shape: KnownBox,
-    /// Whether a hand can take it.
-    is_thing: bool,
 }
 
 impl Around {
@@ -70,13 +64,16 @@ impl Around {
             .flatten()
             .map(|root_from_tcp| Point3::from((root_from_tcp * grasp).translation.vector))
             .collect();
+        let loads = equipment.robot.loads();
         let in_the_way = |known: &Known| {
-            !known.is_thing || grasps.iter().all(|grasp| distance(&known.shape, grasp) > AT_HAND)
+            let held = loads.values().any(|load| known.thing.as_ref().is_some_and(|id| id.as_str() == load.name));
+            let at_hand = || grasps.iter().any(|grasp| distance(&known.shape, grasp) < AT_HAND);
+            known.thing.is_none() || !(held || at_hand())
         };
         let known = known(&*equipment.memory).await?.into_iter().filter(in_the_way);
         let joints = joints.to_vec();
         let (boxes, arm) = (known.map(|known| known.shape).collect(), arm.name.clone());
-        Ok(Self { boxes, tcp, joints, arm, equipment: equipment.clone(), model })
+        Ok(Self { boxes, loads, tcp, joints, arm, equipment: equipment.clone(), model })
     }
 
     /// A path from `now` to `goal`: only these two where the straight way is free.
@@ -101,7 +98,7 @@ impl Around {
     }
 
     fn planner(&self) -> Planner {
-        Planner::new(&self.model, &self.boxes)
+        Planner::carrying(&self.model, &self.loads, &self.boxes)
     }
 
     fn plan(&self, planner: &mut Planner, now: &[f64], goal: &[f64]) -> Result<Path, Failure> {
@@ -133,7 +130,7 @@ impl Around {
             self.tcp,
             &self.joints,
             target,
-            self.model.ready(&self.arm),
+            &self.model.taken_at(self.model.ready(&self.arm), now),
             &PoseOptions::default(),
             &mut self.equipment.random(),
         );
@@ -229,38 +226,3 @@ pub(crate) async fn follow(
     Ok(())
 }
 
-/// What memory holds now of places and things, each with its extent. Things in a hand and what has no pose in the root frame are
-/// left out, and so are things whose class nobody knows.
-async fn known(memory: &dyn Memory) -> Result<Vec<Known>, Failure> {
-    let mut all = Vec::new();
-    let segment =
-        async |name: &str| memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed);
-    for place in segment("EnvironmentModels").await? {
-        let size = place.attribute("size").and_then(armarium_values::Value::as_vector3);
-        let Some(size) = size else { continue };
-        all.extend(shape(&place, size).map(|shape| Known { shape, is_thing: false }));
-    }
-    for thing in segment("ObjectInstances").await? {
-        if thing.attribute("attached_to").is_some() {
-            continue;
-        }
-        let Ok(class) = class_name(&thing) else { continue };
-        let Ok(class) = object_class(memory, class).await else { continue };
-        all.extend(shape(&thing, class.size).map(|shape| Known { shape, is_thing: true }));
-    }
-    Ok(all)
-}
-
-fn shape(snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {
-    let root_from_box = snapshot.attribute("pose").and_then(as_pose)?;
-    let size = Vector3::from(size);
-    let is_box = size.iter().all(|edge| edge.is_finite() && *edge > 0.0);
-    let placed = root_from_box.translation.vector.iter().all(|x| x.is_finite());
-    (is_box && placed).then(|| KnownBox { name: snapshot.id.entity().to_owned(), root_from_box, size })
-}
-
-/// The distance of a point from a box, m; 0 inside.
-fn distance(known: &KnownBox, point: &Point3<f64>) -> f64 {
-    let in_box = known.root_from_box.inverse() * point;
-    (in_box.coords.abs() - known.size / 2.0).sup(&Vector3::zeros()).norm()
-}

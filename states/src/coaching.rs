@@ -5,6 +5,7 @@
 
 use armarium_motion::{Coach, CoachConfig, CoachInput, CoachReport};
 use armarium_runtime::skill::{Failure, SkillContext};
+use nalgebra::{Point3, Vector3};
 
 use crate::arm::Senses;
 use crate::equipment::Equipment;
@@ -39,9 +40,18 @@ impl Coaching {
         self.coach.set_arrival(phase);
     }
 
-    /// Applies the coach's input to the motion for the `dt` s since the previous sample.
+    /// Applies the coach's input (root frame) to the motion for the `dt` s since the previous sample.
     pub(crate) fn apply(&mut self, dt: f64, input: CoachInput) -> Result<CoachReport, Failure> {
         self.idle = if input == CoachInput::None { self.idle + dt } else { 0.0 };
+        let motion_from_root = self.motion.frame()?.inverse();
+        let point = |p: Vector3<f64>| (motion_from_root * Point3::from(p)).coords;
+        let input = match input {
+            CoachInput::Push { force } => CoachInput::Push { force: motion_from_root * force },
+            CoachInput::Attract { hand } => CoachInput::Attract { hand: point(hand) },
+            CoachInput::Repel { hand } => CoachInput::Repel { hand: point(hand) },
+            CoachInput::Shift { direction } => CoachInput::Shift { direction: motion_from_root * direction },
+            other => other,
+        };
         let coach = &mut self.coach;
         self.motion.edit(|motion, omega| coach.step(motion, dt, omega, input))
     }

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use armarium_memoryx::Memory;
 use armarium_robot::{Limb, LinkId, Robot};
+use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::Frame;
+use armarium_values::{Frame, Value};
 use armarium_values::transforms::Transforms;
 use armarium_visionx::ImageSource;
 use futures::future::BoxFuture;
@@ -16,6 +17,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use crate::running_motion::RunningMotions;
+
+/// A motion that was published longer ago does not run any more, s.
+const RUNS_S: f64 = 0.1;
 
 /// The resources that skills use, as traits. Clones share the same robot, cameras, memory and running motions.
 #[derive(Clone)]
@@ -45,6 +49,14 @@ impl Equipment {
         let works = self.works.as_deref().and_then(|works| model.arms().find(|arm| arm.name == works));
         let none = || Failure::new(format!("the robot `{}` has no arm: no group with a `tcp`", model.name()));
         works.or_else(|| model.arms().next()).ok_or_else(none)
+    }
+
+    /// The arm that executes the motion on the channel `motion`; if none does now, the arm that works.
+    pub(crate) fn executing_arm(&self, channels: &Channels) -> Result<&Limb, Failure> {
+        let motion = channels.newest("motion").filter(|s| s.at.elapsed().as_secs_f64() < RUNS_S);
+        let name = motion.as_ref().and_then(|s| s.value.get("arm").and_then(Value::as_str));
+        let named = name.and_then(|name| self.robot.model().arms().find(|arm| arm.name == name));
+        named.map_or_else(|| self.arm(), Ok)
     }
 
     /// A random generator that gives the same numbers in every run with the same seed.

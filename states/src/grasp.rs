@@ -1,8 +1,8 @@
-//! The geometry of a grasp from above with a level palm, shared by the skills that plan, servo and verify it.
+//! The geometry of a grasp straight against the surface on which something stands, shared by the skills that plan, servo and verify it.
 
 use armarium_robot::{Hand, Limb, Marker, Model};
 use armarium_runtime::skill::Failure;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion};
 
 /// The hand of an arm.
 pub(crate) fn hand<'m>(model: &'m Model, arm: &Limb) -> Result<&'m Hand, Failure> {
@@ -20,23 +20,35 @@ pub(crate) fn held_in_tcp(hand: &Hand) -> Point3<f64> {
     hand.grasp_in_tcp.translation.vector.into()
 }
 
-/// The TCP pose that grasps an object at `center` (root frame) with a level palm at the given yaw.
-pub(crate) fn tcp_at(hand: &Hand, center: &Point3<f64>, yaw: f64) -> Isometry3<f64> {
-    let rotation = hand.palm_down(yaw);
+/// The TCP pose that grasps an object at `center` (root frame) with the palm along a surface, whose rotation from a level one is
+/// given, turned by `yaw` in it.
+pub(crate) fn tcp_at(
+    hand: &Hand,
+    center: &Point3<f64>,
+    surface: &UnitQuaternion<f64>,
+    yaw: f64,
+) -> Isometry3<f64> {
+    let rotation = surface * hand.palm_down(yaw);
     Isometry3::from_parts((center.coords - rotation * hand.grasp_in_tcp.translation.vector).into(), rotation)
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     #[test]
     fn the_object_is_below_the_tcp() {
         let model = Model::shipped("armar3").unwrap();
         let hand = hand(&model, model.arms().next().unwrap()).unwrap();
-        let tcp = tcp_at(hand, &Point3::new(0.3, 0.5, 0.97), 0.4);
-        let center = tcp * held_in_tcp(hand);
-        assert!((center - Point3::new(0.3, 0.5, 0.97)).norm() < 1e-12);
+        let place = Point3::new(0.3, 0.5, 0.97);
+        let tcp = tcp_at(hand, &place, &UnitQuaternion::identity(), 0.4);
+        assert!((tcp * held_in_tcp(hand) - place).norm() < 1e-12);
         assert!((tcp.translation.z - 1.05).abs() < 1e-12);
+        let tilted = UnitQuaternion::from_euler_angles(0.1, -0.2, 0.0);
+        let tcp = tcp_at(hand, &place, &tilted, 0.4);
+        assert!((tcp * held_in_tcp(hand) - place).norm() < 1e-12);
+        assert!(hand.grasps_from(&tcp.rotation).angle(&(tilted * Vector3::z_axis())) < 1e-6);
     }
 }

@@ -3,7 +3,7 @@
 use armarium_robot::{Lease, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext};
 
-use crate::arm::{chosen, lease};
+use crate::arm::{at_hand, chosen, lease};
 use crate::equipment::Equipment;
 use crate::grasp::hand;
 
@@ -16,13 +16,16 @@ pub(crate) struct Hand {
 
 /// Gain with which the pads are kept at equal distances from the middle, 1/s.
 const CENTRING_GAIN: f64 = 5.0;
+/// Gain with which joints go to a shape, 1/s.
+const SHAPING_GAIN: f64 = 4.0;
 
 impl Hand {
     /// Leases the hand of the arm that the input names, for the skill in `context`.
-    pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let model = equipment.robot.model();
-        let name = hand(model, chosen(equipment, context)?)?.name.clone();
-        let lease = lease(equipment, context, &name)?;
+    pub(crate) async fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let (model, arm) = (equipment.robot.model(), chosen(equipment, context)?);
+        let name = hand(model, arm)?.name.clone();
+        let touches = at_hand(equipment, arm, &[]).await?;
+        let lease = lease(equipment, context, &name, &touches)?;
         Ok(Self { lease, joints: model.limb(&name).to_vec(), name })
     }
 
@@ -39,6 +42,14 @@ impl Hand {
     /// Rate at which the aperture grows, m/s.
     pub(crate) fn opening_speed(&self, sample: &Sensed) -> f64 {
         self.joints.iter().map(|&j| sample.velocity[j]).sum()
+    }
+
+    /// Moves each joint towards its place in a shape, rad (m); returns how far the farthest one is from it.
+    pub(crate) fn towards(&self, sample: &Sensed, shape: &[f64]) -> Result<f64, Failure> {
+        let off = || self.joints.iter().zip(shape).map(|(&j, goal)| goal - sample.position[j]);
+        let velocities: Vec<f64> = off().map(|off| SHAPING_GAIN * off).collect();
+        self.lease.command(&velocities).map_err(|fault| Failure::new(fault.to_string()))?;
+        Ok(off().fold(0.0, |most, off| most.max(off.abs())))
     }
 
     /// Closes each pad at a speed, m/s (negative: opens), and keeps the pads centred.

@@ -44,7 +44,7 @@ impl Head {
     /// Leases the head for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
-        let lease = head(&model).map(|head| lease(equipment, context, head)).transpose()?;
+        let lease = head(&model).map(|head| lease(equipment, context, head, &[])).transpose()?;
         let joints = head(&model).map_or_else(Vec::new, |head| model.limb(head).to_vec());
         let gaze = Gaze::of(&model).map_err(|e| Failure::new(e.to_string()))?;
         Ok(Self { lease, joints, model, gaze, goal: None })

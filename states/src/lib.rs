@@ -21,10 +21,12 @@ mod inputs;
 mod motions;
 mod needs;
 pub mod observers;
+mod places;
 mod prior;
 mod reach;
 mod running_motion;
 mod skills;
+mod surface;
 mod wiper;
 
 pub use equipment::Equipment;

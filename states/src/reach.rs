@@ -1,36 +1,35 @@
 //! Whether the arm can perform a motion: each point within reach, each joint within its speed limit.
 
-use armarium_motion::Motion;
 use armarium_robot::{PoseOptions, solve_pose};
 use armarium_runtime::skill::Failure;
-use nalgebra::{Isometry3, Vector3};
 
-use crate::arm::{Arm, tcp_of};
+use crate::arm::tcp_of;
 use crate::equipment::Equipment;
+use crate::wiper::Wiper;
 
 /// Number of points of the path that are checked.
 const POINTS: usize = 48;
 
-/// The largest share of a joint's speed limit that `motion` needs of an arm at its frequency, with the TCP at height
-/// `z` m and with the orientation of `tcp`.
+/// The largest share of a joint's speed limit that a motion needs of its arm at its frequency, with the TCP `over` m over where
+/// it is when the tool stands.
 ///
 /// # Errors
 /// When a point is out of reach, or a joint would exceed its speed limit.
 pub(crate) fn required_speed(
     equipment: &Equipment,
-    arm: &Arm,
-    motion: &Motion,
-    tcp: &Isometry3<f64>,
-    z: f64,
+    wiper: &Wiper,
+    over: f64,
 ) -> Result<f64, Failure> {
     let model = equipment.robot.model();
+    let (arm, motion) = (&wiper.arm, wiper.motion());
     let (joints, link) = (arm.joints(), tcp_of(arm.limb())?);
     let path = motion.primitive().steady_path(POINTS).map_err(|e| Failure::new(e.to_string()))?;
     let pose = |s: usize| {
         let point = &path.y[s % path.len()];
-        Isometry3::from_parts(Vector3::new(point[0], point[1], z).into(), tcp.rotation)
+        wiper.pose_at([point[0], point[1]], over)
     };
-    let mut q = model.ready(&arm.limb().name).to_vec();
+    let now = &equipment.robot.sensed().borrow().position.clone();
+    let mut q = model.taken_at(model.ready(&arm.limb().name), now);
     let mut random = equipment.random();
     let mut solve = |s: usize, seed: &[f64]| {
         solve_pose(model, link, joints, &pose(s), seed, &PoseOptions::default(), &mut random).map_err(|e| {

@@ -3,27 +3,32 @@
 //!
 //! It owns the motion while it runs. Changes by others arrive as edits (see `running_motion/`) and are executed
 //! from the next control step on. The caller sets the pace, and the height of the hand over the path ([`Height`]).
+//!
+//! A motion is learned in a level plane. In free space it is played so; on a surface, in the frame of that: its x and y lie in the
+//! surface, its z is along the normal. The tool is held to the surface as it was to the one from which it was grasped.
 
 use std::f64::consts::TAU;
 
 use armarium_memoryx::EntityId;
 use armarium_motion::{ContactFrame, Motion, PeriodicOrientationDmp, StraightLine, SurfaceCorrection};
-use armarium_robot::Sensed;
+use armarium_robot::{Limb, Sensed};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::Value;
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::arm::{Arm, Senses};
+use crate::arm::{Arm, Senses, chosen};
 use crate::equipment::Equipment;
+use crate::grasp::{hand, held_in_tcp};
 use crate::inputs::{Inputs, as_pose};
 use crate::motions::failed;
 use crate::running_motion::MotionOwner;
+use crate::surface::{Surface, from_level};
 
 /// Largest rate of change of the pace (share of the learned frequency), 1/s.
 const PACE_RATE: f64 = 1.5;
-/// Steepest surface that is wiped: its rise over the way across, 15 degrees.
-const STEEPEST: f64 = 0.268;
+/// How much steeper than believed a surface may be that is wiped: its rise over the way across, 15 degrees.
+const STEEPER: f64 = 0.268;
 /// A tool that presses with more than this touches, N.
 const TOUCHING: f64 = 1.5;
 /// An arm that is this far behind its reference cannot follow the motion, m.
@@ -33,6 +38,8 @@ const LOST_TRACK: f64 = 0.06;
 pub(crate) struct GraspedTool {
     /// `root_from_tcp` when the hand closed: the tool then stood on the table.
     pub(crate) tcp: Isometry3<f64>,
+    /// What it stood on, where that is known.
+    surface: Option<Surface>,
 }
 
 impl GraspedTool {
@@ -41,20 +48,63 @@ impl GraspedTool {
         let tcp = context.value("grasp")?.get("tcp").and_then(as_pose);
         let tcp =
             tcp.ok_or_else(|| Failure::new("the input `grasp` does not say where the tool was grasped"))?;
-        Ok(Self { tcp })
+        Ok(Self { tcp, surface: context.value("grasp")?.get("surface").and_then(as_pose).map(Surface::of) })
     }
 
-    /// Height of the TCP at which the tool stands on the table, from the grasp, m.
-    pub(crate) fn standing_height(&self) -> f64 {
-        self.tcp.translation.z
+    /// The height of the TCP over the surface when the tool stood on it, m.
+    fn standing(&self, surface: &Surface) -> f64 {
+        surface.above(&self.tcp.translation.vector.into())
+    }
+
+    /// What the tool stood on: at worst, what the hand faced there.
+    fn stood_on(&self, equipment: &Equipment, arm: &Limb) -> Result<Surface, Failure> {
+        if let Some(surface) = self.surface {
+            return Ok(surface);
+        }
+        let hand = hand(equipment.robot.model(), arm)?;
+        Ok(Surface::new(self.tcp * held_in_tcp(hand), hand.grasps_from(&self.tcp.rotation)))
     }
 }
 
-/// Height of the TCP over the path, m, and its rate, m/s.
+/// Height of the TCP over where it was when the tool stood on the surface, along the normal, m, and its rate, m/s.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Height {
-    pub(crate) z: f64,
+    pub(crate) over: f64,
     pub(crate) rate: f64,
+}
+
+/// Where a motion is played.
+#[derive(Clone, Copy, Debug)]
+struct Stage {
+    /// From the motion's x and y and the height over the surface to the TCP.
+    root_from_motion: Isometry3<f64>,
+    /// The hand's orientation, if the motion has none.
+    orientation: UnitQuaternion<f64>,
+}
+
+impl Stage {
+    /// On the surface through `middle` (root frame, m), where the TCP is in the middle of a motion with the centre x and y when
+    /// the tool stands.
+    fn new(surface: &Surface, middle: &Point3<f64>, tool: (&GraspedTool, &Unit<Vector3<f64>>)) -> Self {
+        let turn = from_level(&surface.normal());
+        let (tool, stood_on) = tool;
+        let onto = UnitQuaternion::rotation_between_axis(stood_on, &surface.normal()).unwrap_or_default();
+        let centre = Translation3::new(-middle.x, -middle.y, 0.0);
+        Self {
+            root_from_motion: Isometry3::from_parts(middle.coords.into(), turn) * centre,
+            orientation: onto * tool.tcp.rotation,
+        }
+    }
+
+    fn normal(&self) -> Unit<Vector3<f64>> {
+        Unit::new_normalize(self.root_from_motion * Vector3::z())
+    }
+
+    /// The pose of the TCP at a place of the motion.
+    fn pose(&self, [x, y]: [f64; 2], over: f64, turned: Option<&UnitQuaternion<f64>>) -> Isometry3<f64> {
+        let orientation = turned.map_or(self.orientation, |turned| self.root_from_motion.rotation * turned);
+        Isometry3::from_parts((self.root_from_motion * Point3::new(x, y, over)).coords.into(), orientation)
+    }
 }
 
 /// The state of the motion after a step.
@@ -69,8 +119,7 @@ pub(crate) struct Wiper {
     pub(crate) arm: Arm,
     id: EntityId,
     motion: MotionOwner,
-    /// The hand's orientation, if the motion has none.
-    orientation: UnitQuaternion<f64>,
+    stage: Stage,
     /// The hand's rotation, if the motion has one.
     turning: Option<PeriodicOrientationDmp>,
     pace: f64,
@@ -80,20 +129,85 @@ pub(crate) struct Wiper {
 }
 
 impl Wiper {
-    /// Leases the arm, and takes ownership of the motion that the input `motion` refers to.
+    /// Leases the arm, and takes ownership of the motion that the input `motion` refers to, to play it over the surface that
+    /// memory knows there, or else over the one from which the tool was grasped.
     pub(crate) async fn take(
         equipment: &Equipment,
         context: &SkillContext,
-        orientation: UnitQuaternion<f64>,
+        tool: &GraspedTool,
     ) -> Result<Self, Failure> {
+        let (arm, id, motion) = Self::own(equipment, context, tool).await?;
+        let stood_on = tool.stood_on(equipment, arm.limb())?;
+        let [x, y] = middle_of(motion.motion());
+        let here = Surface::known_under(&*equipment.memory, &stood_on.at(x, y)).await?.unwrap_or(stood_on);
+        let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
+        let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
+        Self::new(arm, (id, motion), stage, context)
+    }
+
+    /// The same in free space: level, as it was shown, and high enough to be nowhere lower over the surface than in the middle.
+    pub(crate) async fn take_free(
+        equipment: &Equipment,
+        context: &SkillContext,
+        tool: &GraspedTool,
+    ) -> Result<Self, Failure> {
+        let mut wiper = Self::take(equipment, context, tool).await?;
+        let path = wiper.motion().primitive().steady_path(256).map_err(failed)?;
+        let on_surface = |y: &Vec<f64>| (wiper.stage.root_from_motion * Point3::new(y[0], y[1], 0.0)).z;
+        let highest = path.y.iter().map(on_surface).fold(f64::NEG_INFINITY, f64::max);
+        wiper.stage.root_from_motion = Isometry3::translation(0.0, 0.0, highest);
+        Ok(wiper)
+    }
+
+    /// The same, over the surface that the motion was fitted to, with what was learned of that.
+    pub(crate) async fn take_fitted(
+        equipment: &Equipment,
+        context: &SkillContext,
+        tool: &GraspedTool,
+    ) -> Result<(Self, SurfaceCorrection), Failure> {
+        let (arm, id, motion) = Self::own(equipment, context, tool).await?;
+        let stood_on = tool.stood_on(equipment, arm.limb())?;
+        let [x, y] = middle_of(motion.motion());
+        let fitted = motion.motion().surface().cloned().ok_or_else(|| {
+            Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
+        })?;
+        let middle = Point3::new(x, y, motion.motion().primitive().centre()[2]);
+        let here = Surface::new(middle, Unit::new_normalize(fitted.normal()));
+        let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
+        Ok((Self::new(arm, (id, motion), stage, context)?, fitted))
+    }
+
+    async fn own(
+        equipment: &Equipment,
+        context: &SkillContext,
+        tool: &GraspedTool,
+    ) -> Result<(Arm, EntityId, MotionOwner), Failure> {
         let id = context.entity("motion")?;
         let motion = equipment.motions.own(&equipment.memory, &id).await?;
+        // It works on what the tool stood on, with the tool over the motion's middle.
+        let [x, y] = middle_of(motion.motion());
+        let mut over_middle = tool.tcp;
+        let surface = tool.stood_on(equipment, chosen(equipment, context)?)?;
+        over_middle.translation =
+            (surface.at(x, y) + surface.normal().scale(tool.standing(&surface))).coords.into();
+        let arm = Arm::take(equipment, context, &[tool.tcp, over_middle]).await?;
+        Ok((arm, id, motion))
+    }
+
+    fn new(
+        arm: Arm,
+        (id, motion): (EntityId, MotionOwner),
+        stage: Stage,
+        context: &SkillContext,
+    ) -> Result<Self, Failure> {
         let turning = motion.motion().orientation().cloned();
-        let arm = Arm::take(equipment, context)?;
         let channels = context.channels.clone();
-        // The tool comes from above.
-        let contact = ContactFrame::new(&Vector3::z()).map_err(failed)?;
-        Ok(Self { arm, id, motion, orientation, turning, pace: 0.0, contact, channels })
+        // The tool comes along the normal.
+        let contact = ContactFrame::new(&stage.normal()).map_err(failed)?;
+        let height = motion.motion().primitive().centre()[2];
+        // Coaches see the motion in its own plane.
+        motion.set_frame(stage.root_from_motion * Translation3::new(0.0, 0.0, -height));
+        Ok(Self { arm, id, motion, stage, turning, pace: 0.0, contact, channels })
     }
 
     /// The motion as it was when it began to run.
@@ -116,9 +230,26 @@ impl Wiper {
         self.motion.finish(surface, learned_from).await
     }
 
-    /// Sets the height of the motion's centre, m.
-    pub(crate) fn set_height(&mut self, z: f64) -> Result<(), Failure> {
-        self.motion.set_height(z)
+    /// The surface's outward normal, on which it plays.
+    pub(crate) fn normal(&self) -> Unit<Vector3<f64>> {
+        self.stage.normal()
+    }
+
+    /// The height of the TCP over where it was when the tool stood, m.
+    pub(crate) fn height(&self, sample: &Sensed) -> f64 {
+        let tcp = Point3::from(self.arm.tcp(sample).translation.vector);
+        self.stage.root_from_motion.inverse_transform_point(&tcp).z
+    }
+
+    /// Keeps with the motion where its middle is when the TCP is `over` m over where it was when the tool stood.
+    pub(crate) fn set_height(&mut self, over: f64) -> Result<(), Failure> {
+        let [x, y] = self.motion.middle();
+        self.motion.set_height((self.stage.root_from_motion * Point3::new(x, y, over)).z)
+    }
+
+    /// The pose of the TCP at a place of the motion.
+    pub(crate) fn pose_at(&self, place: [f64; 2], over: f64) -> Isometry3<f64> {
+        self.stage.pose(place, over, None)
     }
 
     /// The force with which the tool presses on the surface, N; at touchdown its direction is the first guess of the normal.
@@ -151,7 +282,8 @@ impl Wiper {
 
     /// Sets the primitive to the point of its steady path that is nearest to the TCP, at rest.
     pub(crate) fn start_nearest(&mut self, sample: &Sensed) -> Result<(), Failure> {
-        let tcp = self.arm.tcp(sample).translation.vector;
+        let tcp = Point3::from(self.arm.tcp(sample).translation.vector);
+        let tcp = self.stage.root_from_motion.inverse_transform_point(&tcp);
         let path = self.motion().primitive().steady_path(256).map_err(failed)?;
         let distance = |s: usize| (path.y[s][0] - tcp.x).hypot(path.y[s][1] - tcp.y);
         let nearest = (0..path.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
@@ -163,15 +295,15 @@ impl Wiper {
         Ok(())
     }
 
-    /// How much higher the surface may be at the present point of the path than where the tool was grasped, m.
+    /// How much higher than believed the surface may be at the present point of the path, m.
     pub(crate) fn rise_from(&self, tool: &GraspedTool) -> f64 {
         let (y, at) = (self.motion.state().y, tool.tcp.translation.vector);
-        STEEPEST * (y[0] - at.x).hypot(y[1] - at.y)
+        STEEPER * (y[0] - at.x).hypot(y[1] - at.y)
     }
 
-    /// Moves the TCP on a straight line to the present point of the path, at height `z` m.
-    pub(crate) async fn approach(&mut self, senses: &mut Senses, z: f64, speed: f64) -> Result<(), Failure> {
-        let goal = self.pose(z);
+    /// Moves the TCP on a straight line to the present point of the path, `over` m over where it was when the tool stood.
+    pub(crate) async fn approach(&mut self, senses: &mut Senses, over: f64, speed: f64) -> Result<(), Failure> {
+        let goal = self.pose(over);
         let mut line = StraightLine::new(self.arm.tcp(&senses.newest()), goal, speed).map_err(failed)?;
         while !line.rested(0.3) {
             let (sample, dt) = senses.next().await?;
@@ -201,17 +333,18 @@ impl Wiper {
         };
         let state = self.motion.state();
         let (phase, linear) = (state.phase, Vector3::new(state.yd[0], state.yd[1], height.rate));
-        let goal = self.pose(height.z);
+        let [linear, angular] = [linear, angular].map(|v| self.stage.root_from_motion * v);
+        let goal = self.pose(height.over);
         let error = self.arm.track(sample, &goal, linear, angular)?;
         check_track(error)?;
         self.publish(sample, phase, omega);
         Ok(Progress { omega })
     }
 
-    fn pose(&self, z: f64) -> Isometry3<f64> {
+    fn pose(&self, over: f64) -> Isometry3<f64> {
         let y = self.motion.state().y;
-        let orientation = self.turning.as_ref().map_or(self.orientation, |t| t.state().orientation);
-        Isometry3::from_parts(Vector3::new(y[0], y[1], z).into(), orientation)
+        let turned = self.turning.as_ref().map(|turning| turning.state().orientation);
+        self.stage.pose([y[0], y[1]], over, turned.as_ref())
     }
 
     fn publish(&mut self, sample: &Sensed, phase: f64, omega: f64) {
@@ -222,6 +355,7 @@ impl Wiper {
         self.channels.publish(
             "motion",
             Value::record([
+                ("arm", Value::from(self.arm.limb().name.as_str())),
                 ("phase", Value::Float(phase)),
                 ("frequency", Value::Float(omega / TAU)),
                 ("position", Value::from([tcp.x, tcp.y, tcp.z])),
@@ -231,6 +365,12 @@ impl Wiper {
             ]),
         );
     }
+}
+
+/// The middle of a motion, x and y in its own frame, m.
+fn middle_of(motion: &Motion) -> [f64; 2] {
+    let centre = motion.primitive().centre();
+    [centre[0], centre[1]]
 }
 
 /// Monitors whether the tool still touches the surface.

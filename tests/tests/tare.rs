@@ -2,10 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_host::bench::{Bench, Benched};
+use armarium_robot::planning::KnownBox;
 use armarium_robot::{
     Commander, Fault, Lease, LeaseError, LeaseLimits, Load, Model, Robot, RobotError, Sensed, SensedWrench,
     newest,
@@ -75,7 +77,13 @@ impl Robot for Scripted {
     fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
         self.sensed.subscribe()
     }
-    fn lease(&self, _: &str, _: &str, _: LeaseLimits) -> Result<Lease, LeaseError> {
+    fn lease_together(
+        &self,
+        _: &[&str],
+        _: &str,
+        _: LeaseLimits,
+        _: &[String],
+    ) -> Result<Lease, LeaseError> {
         Ok(Lease::new(Nobody))
     }
     fn tare(&self, _: &str) -> Result<(), RobotError> {
@@ -84,7 +92,14 @@ impl Robot for Scripted {
     fn set_load(&self, _: &str, _: Option<Load>) -> Result<(), RobotError> {
         Ok(())
     }
+    fn loads(&self) -> BTreeMap<String, Load> {
+        BTreeMap::new()
+    }
+    fn set_surroundings(&self, _: Vec<KnownBox>) -> Result<(), RobotError> {
+        Ok(())
+    }
     fn stop(&self, _: &str) {}
+    fn reset(&self) {}
     fn say(&self, _: &str) {}
 }
 

@@ -1,10 +1,10 @@
-//! The pose of a box of known colour and size that lies on a roughly level surface, by analysis by synthesis.
+//! The pose of a box of known colour and size that lies on a surface of known tilt, by analysis by synthesis.
 //!
 //! Pairs of coloured components of both images give the starting points. For each, the box's silhouette is projected
 //! into both images and its x, y, z and yaw are searched: all yaws coarsely, the best ones by a simplex, then
 //! Gauss-Newton on the distances of the coloured region's border from the silhouette. Pixels inside the silhouette that
 //! have the surroundings' colour contradict a pose. Pixels of any other colour may belong to something in front of the
-//! box; they only lower the visible fraction. Roll and pitch are taken as zero in the root frame.
+//! box; they only lower the visible fraction. Roll and pitch are those of the surface, which is level where nothing else is said.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -30,10 +30,10 @@ pub struct BoxModel {
 /// The located object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectEstimate {
-    /// Pose of the box's centre in the root frame of the frame's `root_from_left` (as estimated), z up. The yaw
-    /// lies within (-pi/2, pi/2]: a box looks the same after half a turn.
+    /// Pose of the box's centre in the root frame of the frame's `root_from_left` (as estimated), z along the surface's
+    /// normal. The yaw lies within (-pi/2, pi/2]: a box looks the same after half a turn.
     pub root_from_object: Isometry3<f64>,
-    /// The box's yaw in the root frame, rad.
+    /// The box's turn about that normal, rad; on a level surface, its yaw in the root frame.
     pub yaw: f64,
     /// Covariance of x, y, z (m) in the root frame and yaw (rad).
     pub covariance: Matrix4<f64>,
@@ -54,9 +54,11 @@ pub struct ObjectEstimate {
 pub struct ObjectLocalizer {
     calibration: StereoCalibration,
     model: BoxModel,
+    /// The rotation of the surface, root frame.
+    surface: UnitQuaternion<f64>,
 }
 
-/// x, y, z (root frame, m) and yaw (rad).
+/// x, y, z (m) and yaw (rad) in a frame that is turned as the surface, with the root frame's origin.
 type Pose4 = Vector4<f64>;
 
 /// The observation of a candidate in one image.
@@ -95,9 +97,16 @@ const BORDER_REACH_PX: f64 = 2.5;
 const BORDER_SIGMA_PX: f64 = 0.35;
 
 impl ObjectLocalizer {
-    /// A localizer for one kind of object.
+    /// A localizer for one kind of object on a level surface.
     pub fn new(calibration: StereoCalibration, model: BoxModel) -> Self {
-        Self { calibration, model }
+        Self { calibration, model, surface: UnitQuaternion::identity() }
+    }
+
+    /// The same for objects on a surface with this rotation (root frame): a level one turned by its tilt.
+    #[must_use]
+    pub fn standing_on(mut self, surface: UnitQuaternion<f64>) -> Self {
+        self.surface = surface;
+        self
     }
 
     /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size.
@@ -115,13 +124,14 @@ impl ObjectLocalizer {
         }
         let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
         let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
+        let surface_from_left = self.surface.inverse() * frame.root_from_left;
         let mut fits: Vec<Fit> = Vec::new();
         for l in left.iter().take(4) {
             for r in right.iter().take(4) {
-                let Some(start) = self.start(l, r, frame) else { continue };
+                let Some(start) = self.start(l, r, &surface_from_left) else { continue };
                 let eyes =
                     [Self::eye(l, &left, &frame.left, start.1), Self::eye(r, &right, &frame.right, start.1)];
-                fits.extend(self.fit(&eyes, &start.0, &frame.root_from_left).filter(Fit::convinces));
+                fits.extend(self.fit(&eyes, &start.0, &surface_from_left).filter(Fit::convinces));
             }
         }
         fits.sort_by(|a, b| b.quality().total_cmp(&a.quality()));
@@ -132,11 +142,16 @@ impl ObjectLocalizer {
                 distinct.push(fit);
             }
         }
-        distinct.into_iter().map(|fit| fit.estimate(frame.stamp_ns)).collect()
+        distinct.into_iter().map(|fit| fit.estimate(&self.surface, frame.stamp_ns)).collect()
     }
 
-    /// The position (root frame, m) of a pair of components, and the box's largest radius there, px.
-    fn start(&self, l: &Component, r: &Component, frame: &StereoFrame) -> Option<(Point3<f64>, f64)> {
+    /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
+    fn start(
+        &self,
+        l: &Component,
+        r: &Component,
+        surface_from_left: &Isometry3<f64>,
+    ) -> Option<(Point3<f64>, f64)> {
         let camera = &self.calibration.camera;
         let radius_m = 0.5 * self.model.size.norm();
         let point = self.calibration.triangulate(&l.centroid, &r.centroid)?;
@@ -144,7 +159,7 @@ impl ObjectLocalizer {
         let rows = (l.centroid.y - r.centroid.y).abs();
         let fits = |c: &Component| f64::from(c.area) < 1.3 * PI * radius_px * radius_px;
         let plausible = (0.1..5.0).contains(&point.z) && rows < 2.0 + 0.5 * radius_px && fits(l) && fits(r);
-        plausible.then(|| (frame.root_from_left * point, radius_px))
+        plausible.then(|| (surface_from_left * point, radius_px))
     }
 
     /// The observation around a component: the component with the pieces near it, and the surroundings.
@@ -165,9 +180,9 @@ impl ObjectLocalizer {
         }
     }
 
-    fn fit(&self, eyes: &[Eye; 2], start: &Point3<f64>, root_from_left: &Isometry3<f64>) -> Option<Fit> {
-        let left_from_root = root_from_left.inverse();
-        let outlines = |pose: &Pose4| self.outlines(pose, &left_from_root);
+    fn fit(&self, eyes: &[Eye; 2], start: &Point3<f64>, surface_from_left: &Isometry3<f64>) -> Option<Fit> {
+        let left_from_surface = surface_from_left.inverse();
+        let outlines = |pose: &Pose4| self.outlines(pose, &left_from_surface);
         let cost = |pose: &Pose4| outlines(pose).map_or(f64::INFINITY, |o| silhouette_cost(&o, eyes));
         let mut coarse: Vec<(f64, f64)> = (0..YAWS)
             .map(|i| PI * i as f64 / YAWS as f64)
@@ -187,13 +202,13 @@ impl ObjectLocalizer {
                 best = Some(found);
             }
         }
-        let (pose, covariance) = self.refine(best?.0, eyes, &left_from_root);
+        let (pose, covariance) = self.refine(best?.0, eyes, &left_from_surface);
         Fit::judge(pose, outlines(&pose)?, covariance, eyes)
     }
 
     /// The silhouettes in both images.
-    fn outlines(&self, pose: &Pose4, left_from_root: &Isometry3<f64>) -> Option<[Outline; 2]> {
-        let left_from_box = left_from_root * isometry(pose);
+    fn outlines(&self, pose: &Pose4, left_from_surface: &Isometry3<f64>) -> Option<[Outline; 2]> {
+        let left_from_box = left_from_surface * isometry(pose);
         let (camera, size) = (&self.calibration.camera, &self.model.size);
         let left = box_outline(camera, 0.0, &left_from_box, size)?;
         Some([left, box_outline(camera, self.calibration.baseline, &left_from_box, size)?])
@@ -205,15 +220,15 @@ impl ObjectLocalizer {
         &self,
         start: Pose4,
         eyes: &[Eye; 2],
-        left_from_root: &Isometry3<f64>,
+        left_from_surface: &Isometry3<f64>,
     ) -> (Pose4, Matrix4<f64>) {
         const STEPS: [f64; 4] = [2e-4, 2e-4, 2e-4, 2e-3];
         let mut pose = start;
         let mut information = Matrix4::zeros();
         for _ in 0..8 {
-            let Some(here) = self.outlines(&pose, left_from_root) else { break };
+            let Some(here) = self.outlines(&pose, left_from_surface) else { break };
             let moved: Option<Vec<[Outline; 2]>> =
-                (0..4).map(|i| self.outlines(&(pose + Pose4::ith(i, STEPS[i])), left_from_root)).collect();
+                (0..4).map(|i| self.outlines(&(pose + Pose4::ith(i, STEPS[i])), left_from_surface)).collect();
             let Some(moved) = moved else { break };
             let (mut jtj, mut jtr) = (Matrix4::zeros(), Pose4::zeros());
             for (eye, e) in eyes.iter().enumerate() {
@@ -290,12 +305,14 @@ impl Fit {
         self.visible + self.supported - self.contradicted - self.spilled
     }
 
-    fn estimate(self, stamp_ns: u64) -> ObjectEstimate {
+    fn estimate(self, surface: &UnitQuaternion<f64>, stamp_ns: u64) -> ObjectEstimate {
         let yaw = half_turn(self.pose.w);
+        let upright = isometry(&Pose4::new(self.pose.x, self.pose.y, self.pose.z, yaw));
+        let turn = surface.to_rotation_matrix().to_homogeneous();
         ObjectEstimate {
-            root_from_object: isometry(&Pose4::new(self.pose.x, self.pose.y, self.pose.z, yaw)),
+            root_from_object: surface * upright,
             yaw,
-            covariance: self.covariance,
+            covariance: turn * self.covariance * turn.transpose(),
             visible: self.visible,
             residual_px: self.residual_px,
             outline_left: self.outlines[0].corners().to_vec(),
@@ -406,6 +423,19 @@ mod tests {
             assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad, {estimate:?}");
             assert!(estimate.visible > 0.95 && estimate.stamp_ns == 7);
         }
+    }
+
+    #[test]
+    fn on_a_tilted_surface_the_box_is_tilted() {
+        let tilt = UnitQuaternion::from_euler_angles(0.15, -0.15, 0.0);
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.4);
+        let root_from_block = Isometry3::from_parts(Translation3::new(0.3, 0.5, 0.95), tilt * turned);
+        let block = Thing::Block { root_from_block, size: SIZE, color: YELLOW };
+        let frame = frame(&[block], 0, 3);
+        let found = localizer().standing_on(tilt).localize(&frame).unwrap().root_from_object;
+        let off = found.inverse() * root_from_block;
+        assert!(off.translation.vector.norm() < 0.004, "{off}");
+        assert!(off.rotation.angle().min(PI - off.rotation.angle()) < 0.03, "{off}");
     }
 
     #[test]

@@ -66,6 +66,8 @@ pub struct CoachReport {
     pub phase: f64,
     /// Displacement of the path at that phase along the coached direction since the event began, m.
     pub displacement: f64,
+    /// Whether the hand may as well address another pass: two are about as near, and it was not seen when the hand came.
+    pub ambiguous: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -244,7 +246,7 @@ impl Coach {
         let pass = self.config.push_gain * (size - self.config.push_dead_band);
         let shift = direction * (pass.min(self.config.push_pass_limit) * room);
         displace(dmp, phase, advance, &shift)?;
-        Ok(CoachReport { active: true, phase, displacement })
+        Ok(CoachReport { active: true, phase, displacement, ambiguous: false })
     }
 
     fn gesture(
@@ -262,6 +264,8 @@ impl Coach {
         let distance = |row: usize| self.in_surface(hand - self.path[row]).norm();
         let row = phase::addressed_row(self.path.len(), distance, self.arrival, self.addressed);
         let (phase, nearest) = (self.response.phase(row), distance(row));
+        let ambiguous = self.addressed.is_none()
+            && phase::is_ambiguous(self.path.len(), distance, self.arrival, row);
         let offset = hand - self.path[row];
         self.addressed = Some(phase);
         let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
@@ -276,7 +280,7 @@ impl Coach {
         let share = (std::f64::consts::TAU / (omega * self.config.time_constant)).min(1.0);
         displace(dmp, dmp.phase(), omega * dt, &(direction * (missing * share)))?;
         let displacement = self.moved(dmp, row).dot(&direction);
-        Ok(CoachReport { active: true, phase, displacement })
+        Ok(CoachReport { active: true, phase, displacement, ambiguous })
     }
 
     /// The desired displacement of the path at the addressed phase, m.
@@ -319,7 +323,7 @@ impl Coach {
         let bounded = shifted * (self.config.shift_limit / distance.max(self.config.shift_limit).max(1e-12));
         let centre = self.centre + bounded;
         dmp.centre_mut()[..3].copy_from_slice(centre.as_slice());
-        Ok(CoachReport { active: true, phase, displacement: bounded.dot(&direction) })
+        Ok(CoachReport { active: true, phase, displacement: bounded.dot(&direction), ambiguous: false })
     }
 }
 

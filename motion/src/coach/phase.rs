@@ -11,6 +11,9 @@ const ARRIVAL_WEIGHT: f64 = 2.0;
 /// An arrival phase is ignored if the path is farther from the hand there than the nearest row by more than this share
 /// of that difference.
 const PLAUSIBLE: f64 = 0.75;
+/// Two passes that are about as far from the hand, as a share of that difference, and at least this far apart, rad, are told
+/// apart by the arrival alone.
+const ALIKE: (f64, f64) = (0.15, TAU / 6.0);
 /// The phase that a standing hand addresses changes by at most this much, rad.
 const MAX_PHASE_CHANGE: f64 = TAU / 8.0;
 
@@ -47,6 +50,32 @@ pub(super) fn addressed_row(
     let allowed = |row: &usize| held.is_none_or(|h| apart(phase(*row), h).abs() <= MAX_PHASE_CHANGE);
     let best = (0..rows).filter(allowed).map(|row| (cost(row), row)).min_by(|a, b| a.0.total_cmp(&b.0));
     best.map_or(0, |(_, row)| row)
+}
+
+/// Whether a hand without a plausible `arrival` may as well address another pass than that at `row`.
+pub(super) fn is_ambiguous(
+    rows: usize,
+    distance: impl Fn(usize) -> f64,
+    arrival: Option<f64>,
+    row: usize,
+) -> bool {
+    let (nearest, farthest) = (0..rows)
+        .map(&distance)
+        .fold((f64::INFINITY, 0.0_f64), |(near, far), d| (near.min(d), far.max(d)));
+    let range = (farthest - nearest).max(1e-6);
+    let far = |row: usize| (distance(row) - nearest) / range;
+    let phase = |row: usize| TAU * row as f64 / rows as f64;
+    let row_of = |phase: f64| ((phase / TAU).rem_euclid(1.0) * rows as f64) as usize % rows.max(1);
+    if arrival.is_some_and(|arrival| far(row_of(arrival)) <= PLAUSIBLE) {
+        return false;
+    }
+    let is_pass = |other: usize| {
+        let beside = [(other + 1) % rows, (other + rows - 1) % rows];
+        beside.iter().all(|beside| distance(other) <= distance(*beside))
+    };
+    (0..rows).any(|other| {
+        apart(phase(other), phase(row)).abs() > ALIKE.1 && (far(other) - far(row)) < ALIKE.0 && is_pass(other)
+    })
 }
 
 /// 1 at the addressed phase, decreasing smoothly to 0 at `half_width`; both rad.
@@ -93,6 +122,19 @@ mod tests {
             let below = from(eight, [0.0, -0.12]);
             assert!((turns(addressed_row(ROWS, below, Some(arrival * TAU), None)) - arrival).abs() < 0.1);
         }
+    }
+
+    #[test]
+    fn beside_two_passes_a_hand_that_came_nobody_knows_when_is_ambiguous() {
+        let circle = |p: f64| [0.05 * p.cos(), 0.05 * p.sin()];
+        let eight = |p: f64| [0.05 * p.cos(), 0.03 * (2.0 * p).sin()];
+        let told = |path: fn(f64) -> [f64; 2], hand, arrival| {
+            let row = addressed_row(ROWS, from(path, hand), arrival, None);
+            !is_ambiguous(ROWS, from(path, hand), arrival, row)
+        };
+        assert!(told(circle, [0.0, 0.15], None) && told(eight, [0.15, 0.0], None));
+        assert!(!told(eight, [0.0, -0.12], None));
+        assert!(told(eight, [0.0, -0.12], Some(0.25 * TAU)));
     }
 
     #[test]

@@ -3,9 +3,11 @@
 //! Only its form is here; `resolve.rs` finds the names in the URDF. `armarium robot new` writes one.
 
 use armarium_source::yaml::{Node, Yaml};
-use armarium_source::{Field, Findings, Rule, form};
+use armarium_source::{Field, Findings, Rule, choice, form};
 use indexmap::IndexMap;
 use serde::Serialize;
+
+use crate::model::PlatformKind;
 
 /// The path of a file.
 const PATH: Rule = Rule { min: 1.0, most: 1000, ..Rule::ANY };
@@ -37,8 +39,28 @@ form! {
         pub postures: Named<Named<Position>> = Named::new();
         /// The robot's own limits.
         pub limits: LimitsFile = LimitsFile::default();
+        /// What it drives on; where the URDF hangs on a planar or floating joint and nothing is said, a holonomic platform.
+        pub platform: Option<PlatformFile> = None;
     }
 }
+
+form! {
+    /// What a robot drives on.
+    pub struct PlatformFile: "a platform" {
+        /// How it moves.
+        pub kind: PlatformKind = PlatformKind::Holonomic;
+        /// Largest speed along the floor, m/s.
+        pub speed: f64 = 0.5, Rule::number("m/s", 0.01, 5.0);
+        /// Largest speed of its turn, rad/s.
+        pub turn: f64 = 1.0, Rule::number("rad/s", 0.01, 10.0);
+        /// Largest acceleration, m/s2, and rad/s2 of its turn: it stands within 200 ms from full speed, if that is great enough.
+        pub acceleration: f64 = 8.0, Rule::number("", 0.01, 20.0);
+    }
+}
+
+choice!(PlatformKind {
+    "holonomic" => Self::Holonomic, "differential" => Self::Differential, "none" => Self::None,
+});
 
 form! {
     /// A group of joints. One with a `tcp` is an arm; the first arm is the one that skills use where none is named.
@@ -71,6 +93,10 @@ form! {
         pub open: Option<Positions> = None;
         /// Positions of its joints when it is closed; their lower limits where nothing is said.
         pub closed: Option<Positions> = None;
+        /// Further shapes that it takes: positions of its joints by the shape's name, for instance `pinch` or `flat`.
+        pub shapes: Named<Positions> = Named::new();
+        /// The links with which it touches what it holds; all that its joints move where nothing is said.
+        pub pads: Vec<String> = Vec::new(), Rule::ANY;
         /// Where it grasps, in the frame of its arm's TCP: x along the approach, y along the closing direction.
         pub grasp_in_tcp: PoseFile = PoseFile::default();
         /// Width of a finger pad, m.

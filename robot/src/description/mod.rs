@@ -10,6 +10,7 @@
 mod file;
 mod guess;
 mod meshes;
+mod platform;
 mod resolve;
 mod shipped;
 mod srdf;
@@ -18,7 +19,7 @@ mod urdf;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use armarium_source::{Finding, Findings, Source, Span, code, is_yaml};
+use armarium_source::{Files, Finding, Findings, Source, Span, code, is_yaml};
 
 pub use self::file::RobotFile;
 use self::meshes::Meshes;
@@ -143,6 +144,14 @@ fn seen_from(path: &Path, folder: &Path) -> String {
 pub fn from_texts(robot_file_text: &str, urdf: &str) -> Result<Description, Vec<Finding>> {
     let source = Arc::new(Source::new("robot.yaml", robot_file_text));
     robot_file(source, &[], |file| Ok(Arc::new(Source::new(file, urdf))))
+}
+
+/// Everything that is wrong with a robot file, and what is assumed of its URDF, which is read from `files`.
+pub fn check(source: Arc<Source>, files: &dyn Files) -> Vec<Finding> {
+    match robot_file(source, &[], |path| files.read(path)) {
+        Ok(description) => description.warnings,
+        Err(findings) => findings,
+    }
 }
 
 /// Reads a robot file; `read` reads the URDF beside it.

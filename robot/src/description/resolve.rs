@@ -6,12 +6,16 @@ use armarium_source::yaml::Node;
 use armarium_source::{Findings, Span, code};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-use super::file::{GroupFile, HandFile, PoseFile, Position, RobotFile};
+use super::file::{GroupFile, HandFile, PlatformFile, PoseFile, Position, RobotFile};
+use super::platform::{self, JOINTS, LINKS};
 use super::urdf::Tree;
-use crate::model::{Hand, JointKind, Limb, LinkId, Marker, Model, RobotLimits, StereoCamera, WrenchSensor};
+use crate::model::{
+    Hand, JointKind, Limb, LinkId, Marker, Model, Platform, PlatformKind, RobotLimits, StereoCamera, WrenchSensor,
+};
 
 /// The model of a robot file whose text is `node`. Names that are not there add findings and are left out.
-pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Findings) -> Model {
+pub(super) fn model(file: &RobotFile, node: &Node, mut tree: Tree, findings: &mut Findings) -> Model {
+    let platform = platform_under(file, node, &mut tree, findings);
     let mut resolver = Resolver { file, node, tree: &tree, findings };
     let wrenches = resolver.wrenches();
     let hands = resolver.hands();
@@ -19,6 +23,9 @@ pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Fi
     for hand in hands.values() {
         let joints = resolver.joints_of(&["hands", &hand.name, "joints"], &file.hands[&hand.name].joints);
         limbs.entry(hand.name.clone()).or_insert_with(|| bare_limb(&hand.name, joints));
+    }
+    if let Some(platform) = &platform {
+        limbs.insert(Platform::LIMB.to_owned(), bare_limb(Platform::LIMB, platform.joints.to_vec()));
     }
     let camera = resolver.camera(&limbs);
     let postures = resolver.postures();
@@ -49,8 +56,34 @@ pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Fi
         start_posture: file.start.clone(),
         start,
         limits,
+        platform,
         may_touch: BTreeSet::new(),
     }
+}
+
+/// Puts the robot on the platform that its file says, or that its description has.
+fn platform_under(
+    file: &RobotFile,
+    node: &Node,
+    tree: &mut Tree,
+    findings: &mut Findings,
+) -> Option<Platform> {
+    let said = file.platform.clone().or_else(|| tree.floats.then(PlatformFile::default))?;
+    if said.kind == PlatformKind::None {
+        return None;
+    }
+    let mut taken = LINKS.iter().filter(|name| tree.link_ids.contains_key(**name));
+    let mut taken_too = JOINTS.iter().filter(|name| tree.joint_ids.contains_key(**name));
+    let limb = [Platform::LIMB];
+    let mut limb = limb.iter().filter(|name| file.groups.contains_key(**name));
+    if let Some(name) = taken.next().or(taken_too.next()).or(limb.next()) {
+        let at = node.place("platform");
+        let message = format!("the robot has a `{name}` already, which is a name of the platform's");
+        let help = Some("rename it, or say `platform: {kind: none}`".into());
+        findings.error_help(code::DUPLICATE, at, message, help);
+        return None;
+    }
+    Some(platform::put_on(tree, &said))
 }
 
 fn bare_limb(name: &str, joints: Vec<usize>) -> Limb {
@@ -191,8 +224,36 @@ impl Resolver<'_> {
             let link = self.link(&["hands", name, "marker", "link"], &marker.link)?;
             Some(Marker { link, color: marker.color, diameter: marker.diameter })
         });
-        let grasp_in_tcp = pose(&hand.grasp_in_tcp);
-        Hand { name: name.to_owned(), open, closed, grasp_in_tcp, pad_width: hand.pad_width, marker }
+        let mut shapes =
+            BTreeMap::from([("open".to_owned(), open.clone()), ("closed".to_owned(), closed.clone())]);
+        for (shape, positions) in &hand.shapes {
+            let positions = self.positions(&["hands", name, "shapes", shape], &positions.0, &joints);
+            shapes.insert(shape.clone(), positions);
+        }
+        let pads = match hand.pads.is_empty() {
+            true => self.moved_by(&joints),
+            false => hand.pads.iter().filter_map(|pad| self.link(&["hands", name, "pads"], pad)).collect(),
+        };
+        Hand {
+            name: name.to_owned(),
+            open,
+            closed,
+            shapes,
+            pads,
+            grasp_in_tcp: pose(&hand.grasp_in_tcp),
+            pad_width: hand.pad_width,
+            marker,
+        }
+    }
+
+    /// The links with a shape to touch with that these joints move.
+    fn moved_by(&self, joints: &[usize]) -> Vec<LinkId> {
+        let tree = self.tree;
+        let moved = |link: &LinkId| {
+            let motions = tree.movers[link.0].iter().filter_map(|mover| tree.links[mover.0].motion);
+            !tree.links[link.0].collisions.is_empty() && motions.into_iter().any(|m| joints.contains(&m.joint))
+        };
+        (0..tree.links.len()).map(LinkId).filter(moved).collect()
     }
 
     /// Positions of a hand's joints: one for all, or one for each.

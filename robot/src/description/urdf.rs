@@ -2,7 +2,8 @@
 //!
 //! It reads links, forms with their colours, inertials, and joints of every kind. Files in the wild leave things
 //! out: what is not stated is assumed, and a warning says so. What cannot be meant (loops, several roots, numbers that
-//! are not finite) is an error. Joints that are `floating` or `planar` are not driven: their link stands still.
+//! are not finite) is an error. A `floating` or `planar` joint on which all of the robot hangs becomes a platform (`platform.rs`); others
+//! are not driven: their link stands still.
 //! Every finding has its place in the text. Groups, hands and sensors are no part of URDF (see `file.rs`).
 
 use std::collections::BTreeMap;
@@ -38,6 +39,8 @@ pub(super) struct Tree {
     pub(super) joint_ids: BTreeMap<String, usize>,
     /// For each link, those that a joint moves, from the root to it.
     pub(super) movers: Vec<Vec<LinkId>>,
+    /// Whether all of it hangs on one planar or floating joint.
+    pub(super) floats: bool,
 }
 
 /// Reads a description. Adds findings; `None` where the text is no robot at all.
@@ -296,6 +299,12 @@ impl<'a, 'f, 'm> Reader<'a, 'f, 'm> {
         Some(id)
     }
 
+    /// Whether a joint is the only one below the root.
+    fn is_root_joint(&self, joint: Element<'a>) -> bool {
+        let root = self.root.attribute("name").unwrap_or("");
+        self.below.get(root).is_some_and(|joints| joints.as_slice() == [joint])
+    }
+
     /// The joint of an element; `None` inside where it does not move.
     #[expect(clippy::option_option, reason = "an error, a fixed joint, a joint")]
     fn joint(&mut self, joint: Element<'a>, link: LinkId) -> Option<Option<Joint>> {
@@ -305,6 +314,10 @@ impl<'a, 'f, 'm> Reader<'a, 'f, 'm> {
             Some("revolute") => (JointKind::Revolute, false),
             Some("continuous") => (JointKind::Revolute, true),
             Some("prismatic") => (JointKind::Prismatic, false),
+            Some("floating" | "planar") if self.is_root_joint(joint) => {
+                self.tree.floats = true;
+                return Some(None);
+            }
             Some("floating" | "planar") => {
                 self.assume(
                     "floating and planar joints are not driven; what they carry stands still",

@@ -198,11 +198,13 @@ impl Guard {
     }
 
     fn sense(&mut self, table: &mut LeaseTable, stamp_ns: u64, dt: f64) {
-        let Self { sensors, arms, kinematics, measured, config, .. } = self;
-        if std::mem::take(&mut table.loads_changed) {
+        let Self { sensors, arms, clearance, kinematics, measured, config, .. } = self;
+        let loads_changed = std::mem::take(&mut table.loads_changed);
+        if loads_changed {
             sensors.iter_mut().for_each(|sensor| sensor.load(table));
             arms.load(table);
         }
+        clearance.read(table, loads_changed);
         let frozen_ns = nanoseconds(config.frozen);
         for (index, sensor) in sensors.iter_mut().enumerate() {
             let raw = measured.wrenches.get(index);
@@ -230,6 +232,7 @@ impl Guard {
             sensor.find_faults(table, &self.config, stamp_ns);
         }
         self.arms.share_faults(table);
+        table.share_faults();
     }
 
     /// The desired velocities: each limb's newest command, or 0 for limbs without a lease that is free of faults.

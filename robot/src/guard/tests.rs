@@ -1,15 +1,17 @@
 //! The guard with servo joints, stepped without a clock: limits, faults, forces.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::bodies::{Bodies, least_distance};
+use crate::planning::KnownBox;
 use crate::{
-    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseLimits, Load, Model, Robot, ServoJoints,
-    Wrench, load_mass,
+    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseError, LeaseLimits, Load, LoadShape, Model,
+    Robot, ServoJoints, Wrench, load_mass,
 };
 
 const RIGHT: &str = "right_wrist";
@@ -255,7 +257,7 @@ fn what_the_hand_lifts_is_weighed_and_compensated() {
     let weight = Vector3::new(0.0, 0.0, -0.15 * 9.81);
     rig.run(100, |_| weight);
     assert!((load_mass(&before, &rig.wrist()) - 0.15).abs() < 0.002);
-    let load = Load { name: "sponge".into(), mass_kg: 0.15, center_in_tcp: Point3::origin() };
+    let load = Load { name: "sponge".into(), mass_kg: 0.15, center_in_tcp: Point3::origin(), shape: None };
     rig.robot.set_load("right_hand", Some(load)).unwrap();
     rig.run(100, |_| weight);
     assert!(rig.wrist().force.norm() < 0.02, "{:?}", rig.wrist());
@@ -346,7 +348,7 @@ fn each_arm_has_a_sensor_of_its_own() {
     rig.robot.tare(LEFT).unwrap();
     (0..100).for_each(|_| rig.step(&[(LEFT, push), (RIGHT, push)]));
     assert!(rig.felt(LEFT).force.norm() < 0.02 && (rig.felt(RIGHT).force - push).norm() < 0.02);
-    let load = Load { name: "cup".into(), mass_kg: 0.3, center_in_tcp: Point3::origin() };
+    let load = Load { name: "cup".into(), mass_kg: 0.3, center_in_tcp: Point3::origin(), shape: None };
     rig.robot.set_load("left_hand", Some(load.clone())).unwrap();
     rig.run(100, |_| Vector3::zeros());
     let weighed = Vector3::z() * 0.3 * 9.81 - push;
@@ -378,7 +380,7 @@ fn arms_that_hold_one_load_give_way_and_stop_together() {
     let push = Vector3::new(0.0, 60.0, 0.0);
     let hold = |rig: &Rig, names: [&str; 2]| {
         for (hand, name) in ["right_hand", "left_hand"].into_iter().zip(names) {
-            let load = Load { name: name.into(), mass_kg: 0.0, center_in_tcp: Point3::origin() };
+            let load = Load { name: name.into(), mass_kg: 0.0, center_in_tcp: Point3::origin(), shape: None };
             rig.robot.set_load(hand, Some(load)).unwrap();
         }
         rig.lease("left_arm")
@@ -446,7 +448,7 @@ fn the_setpoint_does_not_run_away_from_a_joint_that_is_held() {
 }
 
 #[test]
-fn stop_is_final_and_utterances_are_heard() {
+fn a_stop_lasts_until_it_is_reset_and_utterances_are_heard() {
     let mut rig = Rig::new();
     let lease = rig.lease("right_arm");
     rig.robot.say("ready");
@@ -456,14 +458,117 @@ fn stop_is_final_and_utterances_are_heard() {
     rig.robot.stop("a test");
     assert_eq!(lease.command(&[0.1; 7]), Err(Fault::Stopped { reason: "a test".into() }));
     assert!(rig.robot.lease("head", "test", LeaseLimits::default()).is_err());
+    rig.robot.reset();
+    assert!(lease.command(&[0.1; 7]).is_err(), "it was stopped");
+    drop(lease);
+    rig.lease("right_arm").command(&[0.1; 7]).unwrap();
+}
+
+#[test]
+fn limbs_that_are_leased_together_have_one_fault() {
+    let mut rig = Rig::new();
+    let none = LeaseLimits::default();
+    let both = rig.robot.lease_together(&["torso", "right_arm"], "test", none, &[]).unwrap();
+    assert!(matches!(both.command(&[0.0; 7]), Err(Fault::WrongLength { expected: 10, got: 7, .. })));
+    assert!(both.command(&[0.0; 10]).is_err(), "after the fault");
+    drop(both);
+    let both = rig.robot.lease_together(&["torso", "right_arm"], "test", none, &[]).unwrap();
+    let mut command = [0.0; 10];
+    (command[2], command[5]) = (0.1, 0.2);
+    rig.command(&both, &command, 300);
+    let velocity = &rig.guard.targets().velocity;
+    let [torso, arm] = ["torso", "right_arm"].map(|limb| rig.model.limb(limb).to_vec());
+    assert!((velocity[torso[2]] - 0.1).abs() < 1e-6 && (velocity[arm[2]] - 0.2).abs() < 1e-6);
+    // A frozen wrist is a fault of the arm; the torso stops with it.
+    rig.frozen = true;
+    for _ in 0..110 {
+        let _ = both.command(&command);
+        rig.run(1, |_| Vector3::zeros());
+    }
+    rig.run(200, |_| Vector3::zeros());
+    assert!(matches!(both.fault(), Some(Fault::FrozenWrench { .. })));
+    assert!(rig.fastest() < 0.01);
+    let shared = rig.robot.lease_together(&["head", "head"], "test", none, &[]);
+    assert!(matches!(shared, Err(LeaseError::Taken { .. })), "{shared:?}");
+    assert!(matches!(rig.robot.lease_together(&[], "test", none, &[]), Err(LeaseError::Nothing)));
+}
+
+/// How near the hand comes to a board under it that it is driven to, m; with what it holds.
+fn nearest_to_a_board(touches: &[String], load: Option<Load>) -> f64 {
+    let mut rig = Rig::new();
+    let tcp = rig.model.link("tcp_right").unwrap();
+    let at = rig.joints.kinematics().pose(tcp).translation.vector;
+    let board = KnownBox {
+        name: "board".into(),
+        root_from_box: Isometry3::translation(at.x, at.y, at.z - 0.2),
+        size: Vector3::new(0.3, 0.3, 0.02),
+    };
+    let mut loads = BTreeMap::new();
+    if let Some(load) = load {
+        rig.robot.set_load("right_hand", Some(load.clone())).unwrap();
+        loads.insert("right_hand".to_owned(), load);
+    }
+    let boxes = [board];
+    let bodies = Bodies::new(&rig.model).with(&rig.model, &loads, &boxes);
+    rig.robot.set_surroundings(boxes.to_vec()).unwrap();
+    let lease =
+        rig.robot.lease_together(&["right_arm"], "test", LeaseLimits::default(), touches).unwrap();
+    let mut ik = crate::DifferentialIk::new(
+        &rig.model,
+        tcp,
+        rig.model.limb("right_arm"),
+        crate::IkConfig::default(),
+    );
+    let down = crate::Twist { linear: Vector3::new(0.0, 0.0, -0.5), angular: Vector3::zeros() };
+    let mut least = f64::INFINITY;
+    for _ in 0..600 {
+        let q = rig.joints.sample().position.clone();
+        lease.command(ik.step(&q, &down, None).velocities).unwrap();
+        rig.run(1, |_| Vector3::zeros());
+        least = least.min(least_distance(&bodies, rig.joints.kinematics()));
+    }
+    least
+}
+
+#[test]
+fn a_hand_and_what_it_holds_stop_before_a_known_table_unless_the_lease_names_it() {
+    let shape = LoadShape {
+        tcp_from_box: Isometry3::translation(0.08, 0.0, 0.0),
+        size: Vector3::new(0.04, 0.1, 0.07),
+    };
+    let name = "sponge".to_owned();
+    let load = Load { name, mass_kg: 0.0, center_in_tcp: Point3::origin(), shape: Some(shape) };
+    for load in [None, Some(load)] {
+        let kept = nearest_to_a_board(&[], load.clone());
+        assert!(kept > 0.018 && kept < 0.03, "{kept} with {load:?}");
+        let touching = nearest_to_a_board(&["board".into()], load);
+        assert!(touching < 0.0, "{touching}");
+    }
+}
+
+#[test]
+fn surroundings_that_are_none_are_refused() {
+    let rig = Rig::new();
+    let board = KnownBox {
+        name: "board".into(),
+        root_from_box: Isometry3::identity(),
+        size: Vector3::new(0.3, 0.0, 0.02),
+    };
+    let flat = rig.robot.set_surroundings(vec![board.clone()]).unwrap_err().to_string();
+    assert!(flat.contains("`board`"), "{flat}");
+    let many = vec![KnownBox { size: Vector3::repeat(0.1), ..board }; 17];
+    assert!(rig.robot.set_surroundings(many).is_err());
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_dummy_conforms() {
-    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand", "left_hand"] {
-        let model = Model::shipped("armar3").unwrap();
-        let dummy = crate::DummyRobot::start(Arc::clone(&model), model.ready("right_arm"));
-        crate::conformance::check(&dummy.robot(), limb).await.unwrap_or_else(|v| panic!("{limb}: {v}"));
+async fn every_limb_of_every_robot_conforms_without_physics() {
+    for robot in crate::description::shipped_robots() {
+        let model = Model::shipped(robot).unwrap();
+        for limb in model.limbs().keys() {
+            let dummy = crate::DummyRobot::start(Arc::clone(&model), model.ready(limb));
+            let checked = crate::conformance::check(&dummy.robot(), limb).await;
+            checked.unwrap_or_else(|violation| panic!("{robot}, {limb}: {violation}"));
+        }
     }
 }
 

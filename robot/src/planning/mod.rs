@@ -11,10 +11,11 @@ mod rrt;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::bodies::{Bodies, Distances, FAR, KEPT};
-use crate::{JointKind, Kinematics, LinkId, Model};
+use crate::{JointKind, Kinematics, LinkId, Load, Model};
 
 pub use crate::bodies::KnownBox;
 
@@ -83,9 +84,6 @@ pub enum PlanError {
 pub struct Planner {
     model: Arc<Model>,
     bodies: Arc<Bodies>,
-    /// The names of the boxes, and the number of the robot's own bodies, which come before them.
-    boxes: Vec<String>,
-    own: usize,
     /// For each joint, how far any point that it moves goes at most per rad (m).
     levers: Vec<f64>,
     kinematics: Kinematics,
@@ -96,19 +94,20 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// A planner for a robot among `boxes`. It looks at the robot in some hundred postures first: keep it for more questions.
+    /// A planner for a robot with empty hands among `boxes`. It looks at the robot in some hundred postures first: keep it for more questions.
     pub fn new(model: &Arc<Model>, boxes: &[KnownBox]) -> Self {
-        let own = Bodies::new(model);
-        let levers = levers(model, &own);
-        let count = own.radii().count();
-        let bodies = Arc::new(own.with_boxes(model, boxes.iter()));
+        Self::carrying(model, &BTreeMap::new(), boxes)
+    }
+
+    /// The same for a robot whose hands hold something, by their names.
+    pub fn carrying(model: &Arc<Model>, loads: &BTreeMap<String, Load>, boxes: &[KnownBox]) -> Self {
+        let bodies = Arc::new(Bodies::new(model).with(model, loads, boxes));
+        let levers = levers(model, &bodies);
         Self {
             distances: Distances::new(&bodies),
             required: vec![CLEARANCE; bodies.pairs().count()],
             kinematics: Kinematics::new(model),
             model: Arc::clone(model),
-            boxes: boxes.iter().map(|known| known.name.clone()).collect(),
-            own: count,
             levers,
             bodies,
             checks: 0,
@@ -193,7 +192,7 @@ impl Planner {
             }
         }
         let refused = |&(pair, near): &(usize, crate::bodies::Near)| {
-            let own = self.bodies.pair(pair).iter().all(|body| *body < self.own);
+            let own = self.bodies.pair(pair).iter().all(|&body| self.bodies.is_own(body));
             near.distance < if own { KEPT } else { 0.0 }
         };
         match self.distances.near(KEPT).find(refused) {
@@ -226,10 +225,7 @@ impl Planner {
     }
 
     fn nearness(&self, pair: usize, distance_m: f64) -> Nearness {
-        let name = |body: usize| match body.checked_sub(self.own) {
-            Some(index) => self.boxes[index].clone(),
-            None => self.model.links()[self.bodies.carrier(body).index()].name.clone(),
-        };
+        let name = |body: usize| self.bodies.name(&self.model, body).to_owned();
         let [first, second] = self.bodies.pair(pair).map(name);
         Nearness { first, second, distance_m }
     }
@@ -276,7 +272,7 @@ fn levers(model: &Model, bodies: &Bodies) -> Vec<f64> {
     // The farthest point beyond each link from its origin, whatever the joints between are at.
     let mut reach = vec![0.0_f64; model.links().len()];
     for (link, radius) in bodies.radii() {
-        reach[link.index()] = radius;
+        reach[link.index()] = reach[link.index()].max(radius);
     }
     let mut levers = vec![0.0; model.joints().len()];
     for (index, link) in model.links().iter().enumerate().rev() {

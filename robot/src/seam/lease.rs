@@ -12,28 +12,31 @@ use parking_lot::{Mutex, MutexGuard};
 use super::robot::Robot;
 use crate::model::Limb;
 use crate::model::unknown;
+use crate::planning::KnownBox;
 use crate::{Fault, LeaseError, LeaseLimits, Load, Model, RobotError, Sensed, SensedWrench, newest};
 
 /// Number of utterances kept until the driver takes them; older ones are dropped.
 const MAX_UTTERANCES: usize = 64;
+/// Most known boxes around the robot: each costs time in every control step.
+const MAX_SURROUNDINGS: usize = 16;
 
-/// Carries a lease's commands to its robot: in this process or over a network. Dropping it releases the limb.
+/// Carries a lease's commands to its robot: in this process or over a network. Dropping it releases the limbs.
 pub trait Commander: Send + Sync + fmt::Debug {
-    /// Sets the joint velocities, rad/s (m/s), in the limb's order.
+    /// Sets the joint velocities, rad/s (m/s), in the order of the limbs and of their joints.
     ///
     /// # Errors
-    /// The [`Fault`] for which the limb was taken from its commander.
+    /// The [`Fault`] for which the limbs were taken from their commander.
     fn command(&self, velocities: &[f64]) -> Result<(), Fault>;
-    /// The fault for which the limb was taken from its commander, if any.
+    /// The fault for which the limbs were taken from their commander, if any.
     fn fault(&self) -> Option<Fault>;
 }
 
-/// The exclusive right to command one limb. Dropping it brakes the limb and releases it.
+/// The exclusive right to command one or several limbs. Dropping it brakes and releases them.
 ///
-/// The first command starts the watchdog: from then on the limb needs a command at least every 30 ms, unless all
-/// velocities of the last one were zero. A limb at rest needs no commands.
+/// The first command starts the watchdog: from then on the limbs need a command at least every 30 ms, unless all
+/// velocities of the last one were zero. Limbs at rest need no commands.
 #[derive(Debug)]
-#[must_use = "dropping a lease brakes the limb and releases it"]
+#[must_use = "dropping a lease brakes the limbs and releases them"]
 pub struct Lease(Box<dyn Commander>);
 
 impl Lease {
@@ -42,17 +45,17 @@ impl Lease {
         Self(Box::new(commander))
     }
 
-    /// Sets the limb's joint velocities, rad/s (m/s), in limb order; they apply until the next command.
+    /// Sets the joint velocities of its limbs, rad/s (m/s), limb after limb in their order; they apply until the next command.
     ///
     /// # Errors
-    /// The [`Fault`] for which the limb was taken from its commander. A command that is not finite or has the wrong
-    /// length is such a fault. After a fault, every further command fails with the same fault and the limb stands
+    /// The [`Fault`] for which the limbs were taken from their commander. A command that is not finite or has the wrong
+    /// length is such a fault. After a fault, every further command fails with the same fault and the limbs stand
     /// still.
     pub fn command(&self, velocities: &[f64]) -> Result<(), Fault> {
         self.0.command(velocities)
     }
 
-    /// The fault for which the limb was taken from its commander, if any.
+    /// The fault for which the limbs were taken from their commander, if any.
     pub fn fault(&self) -> Option<Fault> {
         self.0.fault()
     }
@@ -61,11 +64,14 @@ impl Lease {
 /// The holder of a limb, and the newest command.
 #[derive(Debug)]
 pub(crate) struct LeaseState {
-    id: u64,
+    /// Of the lease: limbs that are leased together have the same.
+    pub(crate) id: u64,
     holder: String,
     /// Leases of one holder have the same number.
     pub(crate) holder_number: u64,
     pub(crate) limits: LeaseLimits,
+    /// The names of what its hands may touch.
+    pub(crate) touches: Arc<[String]>,
     pub(crate) velocities: Vec<f64>,
     /// Number of commands so far.
     pub(crate) sequence: u64,
@@ -104,8 +110,25 @@ pub(crate) struct LeaseTable {
     pub(crate) loads: BTreeMap<String, Load>,
     /// Whether the guard has not seen the loads yet.
     pub(crate) loads_changed: bool,
+    /// What is known to stand around the robot.
+    pub(crate) surroundings: Vec<KnownBox>,
+    /// Whether the guard has not seen them yet.
+    pub(crate) surroundings_changed: bool,
     utterances: VecDeque<String>,
-    next_id: u64,
+    /// The number of the last lease; it changes with every new one.
+    pub(crate) last_id: u64,
+}
+
+impl LeaseTable {
+    /// Limbs that are leased together have one fault.
+    pub(crate) fn share_faults(&mut self) {
+        for i in 0..self.slots.len() {
+            let Some(held) = &self.slots[i].held else { continue };
+            let (id, Some(fault)) = (held.id, held.fault.clone()) else { continue };
+            let together = |slot: &&mut LimbSlot| slot.held.as_ref().is_some_and(|other| other.id == id);
+            self.slots.iter_mut().filter(together).for_each(|slot| slot.fail(&fault));
+        }
+    }
 }
 
 /// The data that the guard and its robot share.
@@ -158,33 +181,54 @@ impl Robot for GuardedRobot {
         self.shared.sensed.subscribe()
     }
 
-    fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<Lease, LeaseError> {
+    fn lease_together(
+        &self,
+        limbs: &[&str],
+        holder: &str,
+        limits: LeaseLimits,
+        touches: &[String],
+    ) -> Result<Lease, LeaseError> {
         let mut table = self.shared.leases();
         if let Some(reason) = &table.stopped {
             return Err(LeaseError::Stopped { reason: reason.clone() });
         }
-        let Some(index) = table.slots.iter().position(|s| s.limb.name == limb) else {
-            let known = table.slots.iter().map(|s| s.limb.name.as_str()).collect::<Vec<_>>().join(", ");
-            return Err(LeaseError::Unknown { limb: limb.to_owned(), known });
-        };
-        if let Some(holder) = holder_of(&table.slots, index) {
-            return Err(LeaseError::Taken { limb: limb.to_owned(), holder });
+        let mut wanted: Vec<usize> = Vec::new();
+        for limb in limbs {
+            let Some(index) = table.slots.iter().position(|s| s.limb.name == *limb) else {
+                let known = table.slots.iter().map(|s| s.limb.name.as_str()).collect::<Vec<_>>().join(", ");
+                return Err(LeaseError::Unknown { limb: (*limb).to_owned(), known });
+            };
+            // Two limbs that share a joint cannot be leased together, either.
+            let joints = &table.slots[index].limb.joints;
+            let shared = |&other: &usize| table.slots[other].limb.joints.iter().any(|j| joints.contains(j));
+            let own = wanted.iter().copied().find(shared).map(|_| holder.to_owned());
+            if let Some(holder) = holder_of(&table.slots, index).or(own) {
+                return Err(LeaseError::Taken { limb: (*limb).to_owned(), holder });
+            }
+            wanted.push(index);
         }
-        table.next_id += 1;
-        let id = table.next_id;
+        if wanted.is_empty() {
+            return Err(LeaseError::Nothing);
+        }
+        table.last_id += 1;
+        let id = table.last_id;
         let known = table.slots.iter().filter_map(|slot| slot.held.as_ref());
         let holder_number = known.filter(|held| held.holder == holder).map(|held| held.holder_number).next();
-        table.slots[index].held = Some(LeaseState {
-            id,
-            holder: holder.to_owned(),
-            holder_number: holder_number.unwrap_or(id),
-            limits,
-            velocities: vec![0.0; table.slots[index].limb.joints.len()],
-            sequence: 0,
-            seen: (0, 0),
-            fault: None,
-        });
-        Ok(Lease::new(LocalCommander { shared: Arc::clone(&self.shared), index, id }))
+        let touches: Arc<[String]> = touches.into();
+        for &index in &wanted {
+            table.slots[index].held = Some(LeaseState {
+                id,
+                holder: holder.to_owned(),
+                holder_number: holder_number.unwrap_or(id),
+                limits,
+                touches: Arc::clone(&touches),
+                velocities: vec![0.0; table.slots[index].limb.joints.len()],
+                sequence: 0,
+                seen: (0, 0),
+                fault: None,
+            });
+        }
+        Ok(Lease::new(LocalCommander { shared: Arc::clone(&self.shared), limbs: wanted, id }))
     }
 
     fn tare(&self, wrench: &str) -> Result<(), RobotError> {
@@ -214,12 +258,37 @@ impl Robot for GuardedRobot {
         Ok(())
     }
 
+    fn loads(&self) -> BTreeMap<String, Load> {
+        self.shared.leases().loads.clone()
+    }
+
+    fn set_surroundings(&self, boxes: Vec<KnownBox>) -> Result<(), RobotError> {
+        if boxes.len() > MAX_SURROUNDINGS {
+            let why = format!("{} boxes, {MAX_SURROUNDINGS} are possible", boxes.len());
+            return Err(RobotError::Surroundings { why });
+        }
+        if let Some(bad) = boxes.iter().find(|known| !known.is_box()) {
+            let why = format!("`{}` has an edge or a place that is no number, or no edge", bad.name);
+            return Err(RobotError::Surroundings { why });
+        }
+        let mut table = self.shared.leases();
+        if table.surroundings != boxes {
+            table.surroundings = boxes;
+            table.surroundings_changed = true;
+        }
+        Ok(())
+    }
+
     fn stop(&self, reason: &str) {
         let mut table = self.shared.leases();
         let reason = table.stopped.get_or_insert_with(|| reason.to_owned()).clone();
         for slot in &mut table.slots {
             slot.fail(&Fault::Stopped { reason: reason.clone() });
         }
+    }
+
+    fn reset(&self) {
+        self.shared.leases().stopped = None;
     }
 
     fn say(&self, utterance: &str) {
@@ -244,58 +313,68 @@ fn holder_of(slots: &[LimbSlot], index: usize) -> Option<String> {
 #[derive(Debug)]
 struct LocalCommander {
     shared: Arc<LeaseBoard>,
-    index: usize,
+    /// Its limbs, as indices into the lease table, in the order of its commands. Their entries live as long as the lease.
+    limbs: Vec<usize>,
     id: u64,
 }
 
 impl LocalCommander {
-    /// Runs `f` on this lease's entry in the table, which lives as long as the lease.
-    fn with<T>(&self, f: impl FnOnce(&Limb, &mut LeaseState) -> T) -> Option<T> {
-        let mut table = self.shared.leases();
-        let slot = &mut table.slots[self.index];
-        let held = slot.held.as_mut().filter(|held| held.id == self.id)?;
-        Some(f(&slot.limb, held))
+    fn fault_in(&self, table: &LeaseTable) -> Option<Fault> {
+        self.limbs.iter().find_map(|&index| table.slots[index].held.as_ref()?.fault.clone())
     }
 }
 
 impl Commander for LocalCommander {
     fn command(&self, velocities: &[f64]) -> Result<(), Fault> {
+        let mut table = self.shared.leases();
+        if let Some(fault) = self.fault_in(&table) {
+            return Err(fault);
+        }
         let joints = self.shared.model.joints();
-        self.with(|limb, held| {
-            if let Some(fault) = &held.fault {
-                return Err(fault.clone());
+        if let Some(fault) = bad_command(velocities, &self.limbs, &table, joints) {
+            self.limbs.iter().for_each(|&index| table.slots[index].fail(&fault));
+            return Err(fault);
+        }
+        let mut rest = velocities;
+        for &index in &self.limbs {
+            let slot = &mut table.slots[index];
+            let (own, others) = rest.split_at(slot.limb.joints.len());
+            if let Some(held) = &mut slot.held {
+                held.velocities.copy_from_slice(own);
+                held.sequence += 1;
             }
-            if let Some(fault) = bad_command(velocities, limb, joints) {
-                held.fault = Some(fault.clone());
-                return Err(fault);
-            }
-            held.velocities.copy_from_slice(velocities);
-            held.sequence += 1;
-            Ok(())
-        })
-        .unwrap_or(Ok(()))
+            rest = others;
+        }
+        Ok(())
     }
 
     fn fault(&self) -> Option<Fault> {
-        self.with(|_, held| held.fault.clone()).flatten()
+        self.fault_in(&self.shared.leases())
     }
 }
 
-fn bad_command(velocities: &[f64], limb: &Limb, joints: &[crate::Joint]) -> Option<Fault> {
-    let (expected, got) = (limb.joints.len(), velocities.len());
+fn bad_command(
+    velocities: &[f64],
+    limbs: &[usize],
+    table: &LeaseTable,
+    joints: &[crate::Joint],
+) -> Option<Fault> {
+    let commanded = || limbs.iter().flat_map(|&index| &table.slots[index].limb.joints);
+    let (expected, got) = (commanded().count(), velocities.len());
     if expected != got {
-        return Some(Fault::WrongLength { limb: limb.name.clone(), expected, got });
+        let names: Vec<&str> = limbs.iter().map(|&index| table.slots[index].limb.name.as_str()).collect();
+        return Some(Fault::WrongLength { limb: names.join(" and "), expected, got });
     }
-    let bad = velocities.iter().position(|v| !v.is_finite())?;
-    Some(Fault::NotFinite { joint: joints[limb.joints[bad]].name.clone() })
+    let (_, bad) = velocities.iter().zip(commanded()).find(|(v, _)| !v.is_finite())?;
+    Some(Fault::NotFinite { joint: joints[*bad].name.clone() })
 }
 
 impl Drop for LocalCommander {
     fn drop(&mut self) {
         let mut table = self.shared.leases();
-        let slot = &mut table.slots[self.index];
-        if slot.held.as_ref().is_some_and(|held| held.id == self.id) {
-            slot.held = None;
+        for &index in &self.limbs {
+            let slot = &mut table.slots[index];
+            slot.held.take_if(|held| held.id == self.id);
         }
     }
 }

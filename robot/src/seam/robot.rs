@@ -1,11 +1,13 @@
 //! The robot as skills see it: the interface above the guard.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::lease::Lease;
 use crate::boundary::{LeaseError, LeaseLimits, Load, Sensed};
 use crate::error::RobotError;
 use crate::model::Model;
+use crate::planning::KnownBox;
 use crate::newest;
 
 /// A robot as skills see it.
@@ -14,11 +16,26 @@ pub trait Robot: Send + Sync {
     fn model(&self) -> &Arc<Model>;
     /// The newest sample; the receiver wakes at each new one (1 kHz in the simulator).
     fn sensed(&self) -> newest::Receiver<Arc<Sensed>>;
-    /// Takes the exclusive right to command a limb, until the lease is dropped.
+    /// Takes the exclusive right to command several limbs together, all or none, until the lease is dropped: one command for
+    /// all of them, in the order given, and one fault. `touches` names what the hands that they move, with what these hold, may
+    /// come near to: known boxes ([`set_surroundings`](Self::set_surroundings)) or links. All else keeps its distance.
     ///
     /// # Errors
-    /// [`LeaseError`] when the limb is taken or unknown, or the robot is stopped.
-    fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<Lease, LeaseError>;
+    /// [`LeaseError`] when a limb is taken or unknown, or the robot is stopped.
+    fn lease_together(
+        &self,
+        limbs: &[&str],
+        holder: &str,
+        limits: LeaseLimits,
+        touches: &[String],
+    ) -> Result<Lease, LeaseError>;
+    /// Takes the exclusive right to command one limb, until the lease is dropped; its hand touches nothing.
+    ///
+    /// # Errors
+    /// As [`lease_together`](Self::lease_together).
+    fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<Lease, LeaseError> {
+        self.lease_together(&[limb], holder, limits, &[])
+    }
     /// Takes the present compensated force of a wrench sensor as zero. To be called while nothing touches the hand.
     ///
     /// # Errors
@@ -30,8 +47,18 @@ pub trait Robot: Send + Sync {
     /// # Errors
     /// [`RobotError::Unknown`] when there is no such hand, [`RobotError::Load`] when the load is not physical.
     fn set_load(&self, hand: &str, load: Option<Load>) -> Result<(), RobotError>;
-    /// Stops every limb permanently; later leases are refused.
+    /// What the hands hold, by their names, as far as it was set.
+    fn loads(&self) -> BTreeMap<String, Load>;
+    /// Sets what is known to stand around the robot, root frame, in place of what was known before. Its bodies keep their distance
+    /// from it.
+    ///
+    /// # Errors
+    /// [`RobotError::Surroundings`] when a box is none, or there are too many.
+    fn set_surroundings(&self, boxes: Vec<KnownBox>) -> Result<(), RobotError>;
+    /// Stops every limb. Leases get the fault, and later ones are refused until [`reset`](Self::reset).
     fn stop(&self, reason: &str);
+    /// Ends a stop: limbs can be leased again. Leases that were stopped stay so.
+    fn reset(&self);
     /// Says something through the robot's loudspeaker, for people nearby such as the coach.
     fn say(&self, utterance: &str);
 }

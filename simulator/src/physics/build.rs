@@ -282,9 +282,11 @@ fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJ
         .build()
 }
 
-/// Gains according to the load of the joint: highest for the torso, lowest for the wrist; all settle in the drives' time.
+/// Gains according to the load of the joint: highest for a platform and the torso, lowest for the wrist; all settle in the drives'
+/// time.
 fn servo(lump: &Lump, effort: f64, errors: &Errors) -> Servo {
     let damping = match lump.kind {
+        JointKind::Prismatic if effort >= 1000.0 => 1e4,
         JointKind::Prismatic => 80.0,
         JointKind::Revolute if effort >= 150.0 => 1e3,
         JointKind::Revolute if effort >= 50.0 => 300.0,

@@ -43,13 +43,11 @@ impl Hand {
     ) -> Option<Self> {
         let tcp = arm.tcp?;
         let sensor = model.sensor_of(arm).unwrap_or(tcp);
-        let joints = arm.hand.as_deref().map_or(&[][..], |hand| model.limb(hand));
         let links: Vec<LinkId> = model.subtree(sensor).collect();
-        let moved = |link: &LinkId| joints.iter().any(|&joint| model.moves(joint, *link));
         let wrist = assembly.wrist(model, sensor, tcp);
         let mut hand = Self {
             frames: [sensor, tcp],
-            pad_links: links.iter().copied().filter(moved).collect(),
+            pad_links: model.hand_of(arm).map_or_else(Vec::new, |hand| hand.pads.clone()),
             links,
             palm: robot.base,
             fingers: Vec::new(),

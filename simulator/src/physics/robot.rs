@@ -81,7 +81,7 @@ pub(super) struct PlantRobot {
     room_from_root: Isometry3<f64>,
     errors: Errors,
     pub(super) joints: Joints,
-    /// The joints of the arms, of what helps them, and of their hands.
+    /// The joints of the arms, of what helps them and carries them, and of their hands.
     heavy: Vec<usize>,
     parts: RobotBodies,
     pub(super) arms: Vec<Arm>,
@@ -105,7 +105,8 @@ impl PlantRobot {
         };
         let mut heavy: Vec<usize> = limbs.iter().flat_map(|arm| own(arm)).collect();
         let touching = heavy.clone();
-        for joint in limbs.iter().flat_map(|arm| model.reaching_joints(&arm.name)) {
+        let drives = model.platform().into_iter().flat_map(|platform| platform.joints);
+        for joint in limbs.iter().flat_map(|arm| model.reaching_joints(&arm.name)).chain(drives) {
             if !heavy.contains(&joint) {
                 heavy.push(joint);
             }

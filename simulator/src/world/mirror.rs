@@ -25,13 +25,15 @@ impl World {
         if self.name.ends_with(MIRRORED) { ", mirrored for the other arm" } else { "" }
     }
 
-    /// Everything mirrored but the robot itself.
+    /// Everything mirrored but the robot itself, which stands mirrored.
     fn mirrored(mut self) -> Self {
         let flip = |x: &mut f64| *x = if *x == 0.0 { 0.0 } else { -*x };
         self.name = match self.name.strip_suffix(MIRRORED) {
             Some(name) => name.to_owned(),
             None => self.name + MIRRORED,
         };
+        flip(&mut self.robot.at[0]);
+        flip(&mut self.robot.yaw_deg);
         let table = &mut self.table;
         flip(&mut table.center[0]);
         flip(&mut table.tilt_deg[1]);

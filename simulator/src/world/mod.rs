@@ -112,9 +112,10 @@ form! {
         pub model: String = default_robot().into(), Rule { most: 1000, ..Rule::NAME };
         /// The arm that wipes: a group of the robot, or a word of its name such as `right`; none for its first arm.
         pub arm: Option<String> = None, Rule::NAME;
-        /// Where its root is on the floor. The first robot's is the world's origin.
+        /// Where its root is on the floor; of a robot with a platform, where that stands at the start. The first robot's root is
+        /// the world's origin.
         pub at: [f64; 2] = [0.0; 2], within(5.0);
-        /// How far it is turned about the vertical, degrees.
+        /// How far it, or its platform, is turned about the vertical, degrees.
         pub yaw_deg: f64 = 0.0, Rule::degrees(361.0, "yaw");
         /// Standard deviations of its sensors.
         pub noise: NoiseSpec = NoiseSpec::default();
@@ -128,10 +129,13 @@ form! {
         pub wrench: f64 = 0.3, Rule::number("N", 0.0, 20.0);
         /// Standard deviation of the constant offset of each force axis, N; torque axes a twentieth, N m.
         pub wrench_bias: f64 = 1.0, Rule::number("N", 0.0, 100.0);
-        /// Rate of the offset's drift, each force axis with its own sign and part of it, N/s; torque axes a twentieth.
+        /// Rate at which the offset begins to drift, each force axis with its own sign and part of it, N/s; torque axes a
+        /// twentieth. The drift returns: it stays within five minutes of this rate.
         pub wrench_drift: f64 = 0.01, Rule::number("N/s", 0.0, 10.0);
         /// White noise of each joint angle, rad.
         pub joint: f64 = 0.0002, Rule::number("rad", 0.0, 0.1);
+        /// Error of a platform's odometry: standard deviation of the share of each way, and of each turn, that it misses.
+        pub odometry: f64 = 0.01, Rule::number("", 0.0, 0.5);
     }
 }
 
@@ -476,7 +480,8 @@ impl World {
                 findings.error(code::DUPLICATE, place("bodies", i, "name"), message);
             }
         }
-        if self.robot.at != [0.0; 2] || self.robot.yaw_deg != 0.0 {
+        let elsewhere = self.robot.at != [0.0; 2] || self.robot.yaw_deg != 0.0;
+        if elsewhere && !self.robot.load().is_ok_and(|model| model.platform().is_some()) {
             let at = root.get("robot").map_or(root.span, |node| node.place("at"));
             let help = Some("move the others".into());
             findings.error_help(code::VALUE, at, "the first robot stands at the world's origin", help);

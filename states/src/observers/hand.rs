@@ -31,7 +31,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let Ok(hand_eye) = HandEye::load(&*equipment.memory, &equipment.agent).await else { return };
         let frame = hand_eye.corrected(&frame);
         let seen = observer.update(&frame);
-        let mut value = describe(&equipment, &frame, seen.as_ref());
+        let mut value = describe(&equipment, &channels, &frame, seen.as_ref());
         let motion = channels.newest("motion");
         let field = |name: &str| motion.as_ref().and_then(|s| s.value.get(name).and_then(Value::as_f64));
         let palm = value.get("position").and_then(as_vector);
@@ -45,7 +45,12 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
 }
 
 /// The detection in the root frame; the gesture is `none` without a hand.
-fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObservation>) -> Value {
+fn describe(
+    equipment: &Equipment,
+    channels: &Channels,
+    frame: &StereoFrame,
+    seen: Option<&HandObservation>,
+) -> Value {
     let Some(seen) = seen else {
         return Value::record([("gesture", Value::from("none")), ("confidence", Value::Float(1.0))]);
     };
@@ -53,7 +58,7 @@ fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObserv
     let direction = seen.pointing.map_or_else(Vector3::zeros, |d| frame.root_from_left * d);
     let sensed = equipment.robot.sensed().borrow().clone();
     let model = equipment.robot.model();
-    let tcp = equipment.arm().and_then(tcp_of);
+    let tcp = equipment.executing_arm(channels).and_then(tcp_of);
     let tcp = tcp.map_or_else(|_| Isometry3::identity(), |tcp| model.link_pose(&sensed.position, tcp));
     Value::record([
         ("gesture", Value::from(seen.gesture.name())),

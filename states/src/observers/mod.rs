@@ -1,9 +1,11 @@
-//! Observers: tasks that publish sensor data on channels, which charts watch and skills read.
+//! Observers: tasks that publish sensor data on channels, which charts watch and skills read; and one that tells the robot what
+//! memory knows of its surroundings.
 //!
 //! [`channels`] describes them, with fields, units and rates; `armarium channels` prints it.
 
 mod arrival;
 mod hand;
+mod surroundings;
 mod wrist;
 
 use armarium_runtime::channels::Channels;
@@ -27,7 +29,7 @@ fn hand() -> ChannelDescription {
         ("confidence", Type::FLOAT, "0 to 1"),
         ("position", Type::Vector, "of the palm, m"),
         ("direction", Type::Vector, "where it points, unit length"),
-        ("distance", Type::quantity(Unit::M), "to the TCP of the arm that works"),
+        ("distance", Type::quantity(Unit::M), "to the TCP of the arm that executes the motion, or that works"),
         ("hidden", Type::FLOAT, "the share of its outline that is hidden, 0 to 1"),
         ("came_at", Type::quantity(Unit::RAD), "phase of the running motion at which it came to rest"),
     ];
@@ -42,6 +44,7 @@ fn motion() -> ChannelDescription {
     let vector = |unit| Type::list(Type::quantity(unit));
     let channel = ChannelDescription::new("motion", "The motion that a skill executes.");
     let fields = [
+        ("arm", Type::String, "the arm that executes it"),
         ("phase", Type::quantity(Unit::RAD), "of the motion"),
         ("frequency", Type::quantity(Unit::HZ), "at present"),
         ("position", vector(Unit::M), "of the TCP, three numbers in the root frame"),
@@ -58,7 +61,7 @@ fn motion() -> ChannelDescription {
 
 fn wrist() -> ChannelDescription {
     let vector = || Type::list(Type::quantity(Unit::N));
-    let felt = "What the wrist's force sensor of the arm that works feels, compensated for the weight of hand and load.";
+    let felt = "What the wrist's force sensor of the arm that executes the motion, or else of the arm that works, feels, compensated for the weight of hand and load.";
     let channel = ChannelDescription::new("wrist", felt);
     let fields = [
         ("force", vector(), "three numbers in the root frame"),
@@ -82,5 +85,6 @@ pub fn start(equipment: &Equipment, channels: &Channels) -> Vec<JoinHandle<()>> 
     vec![
         tokio::spawn(wrist::observe(equipment.clone(), channels.clone())),
         tokio::spawn(hand::observe(equipment.clone(), channels.clone())),
+        tokio::spawn(surroundings::observe(equipment.clone())),
     ]
 }

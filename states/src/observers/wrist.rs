@@ -1,5 +1,8 @@
-//! The wrist of the arm that works: the force on the hand, and the push: the part along the surface that friction does not explain. With
+//! The wrist of the arm that executes a motion, or else of the arm that works: the force on the hand, and the push: the part along the surface that friction does not explain. With
 //! one wrist sensor, a push along the surface's normal cannot be distinguished from the surface's force.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use armarium_motion::{ContactFrame, FrictionConfig, FrictionModel};
 use armarium_robot::Kinematics;
@@ -19,12 +22,8 @@ const FRESH_S: f64 = 0.1;
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let model = equipment.robot.model();
-    let Ok(arm) = equipment.arm() else { return };
-    let (Ok(mut friction), Ok(tcp), Ok(sensor)) =
-        (FrictionModel::new(FrictionConfig::default()), tcp_of(arm), sensor_of(arm))
-    else {
-        return;
-    };
+    // What each arm's wiping feels like is learned by itself.
+    let mut frictions: BTreeMap<&str, FrictionModel> = BTreeMap::new();
     let mut kinematics = Kinematics::new(model);
     let mut sensed = equipment.robot.sensed();
     let (mut last_ns, mut count) = (None, 0_u32);
@@ -32,6 +31,15 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let sample = sensed.borrow_and_update().clone();
         let before = last_ns.replace(sample.stamp_ns).unwrap_or(sample.stamp_ns);
         let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
+        let Ok(arm) = equipment.executing_arm(&channels) else { return };
+        let (Ok(tcp), Ok(sensor)) = (tcp_of(arm), sensor_of(arm)) else { continue };
+        let friction = match frictions.entry(&arm.name) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => match FrictionModel::new(FrictionConfig::default()) {
+                Ok(friction) => new.insert(friction),
+                Err(_) => return,
+            },
+        };
         kinematics.update(&sample.position);
         let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
         let force = force_at(sensor, &sample);

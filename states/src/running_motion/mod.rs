@@ -16,6 +16,7 @@ use std::time::Duration;
 use armarium_memoryx::{EntityId, Memory, MemoryError, Snapshot};
 use armarium_motion::{DmpState, Motion, MotionEdit, MotionError, PeriodicDmp, SurfaceCorrection};
 use armarium_runtime::skill::Failure;
+use nalgebra::Isometry3;
 use parking_lot::Mutex;
 use tokio::sync::{Notify, broadcast};
 use tokio::task::JoinHandle;
@@ -47,6 +48,8 @@ struct SharedState {
     view: PeriodicDmp,
     /// Present frequency, rad/s.
     omega: f64,
+    /// Where the motion is played: a pose of its own frame in the root frame.
+    root_from_motion: Isometry3<f64>,
     /// The robot's time at the owner's last step, ns.
     stamp_ns: u64,
     /// The sum of the edits that the owner has not applied yet.
@@ -79,6 +82,7 @@ impl RunningMotions {
         let state = SharedState {
             view: dmp.clone(),
             omega: 0.0,
+            root_from_motion: Isometry3::identity(),
             stamp_ns: 0,
             pending: MotionEdit::none(&dmp),
             unwritten: false,
@@ -136,6 +140,17 @@ impl MotionOwner {
     /// The motion as it was when it began to run.
     pub(crate) fn motion(&self) -> &Motion {
         &self.motion
+    }
+
+    /// Says where the motion is played: the pose of its own frame in the root frame. By default they are the same.
+    pub(crate) fn set_frame(&self, root_from_motion: Isometry3<f64>) {
+        self.shared.state.lock().root_from_motion = root_from_motion;
+    }
+
+    /// The middle of the motion as it is now, x and y in its own frame, m.
+    pub(crate) fn middle(&self) -> [f64; 2] {
+        let centre = self.dmp.centre();
+        [centre[0], centre[1]]
     }
 
     /// The state of the primitive.
@@ -225,6 +240,11 @@ impl MotionEditor {
     /// The motion with all edits sent so far.
     pub(crate) fn view(&self) -> Result<PeriodicDmp, Failure> {
         Ok(self.shared.upgrade().ok_or_else(not_running)?.state.lock().view.clone())
+    }
+
+    /// Where the motion is played: the pose of its own frame in the root frame.
+    pub(crate) fn frame(&self) -> Result<Isometry3<f64>, Failure> {
+        Ok(self.shared.upgrade().ok_or_else(not_running)?.state.lock().root_from_motion)
     }
 
     /// Applies `change` to the present motion (with its present frequency, rad/s), and sends the difference to the

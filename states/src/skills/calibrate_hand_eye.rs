@@ -1,6 +1,6 @@
 //! `CalibrateHandEye`: finds the true pose of the cameras by observing the marker on the robot's own hand.
 //!
-//! The hand moves to several places over the table. At each one, the marker's position is measured by the camera,
+//! The hand moves to several places over where the arm works. At each one, the marker's position is measured by the camera,
 //! and computed for the assumed camera pose. Both point sets give the mounting (least squares, Arun et al.).
 
 use std::sync::Arc;
@@ -19,8 +19,9 @@ use crate::grasp::{hand, marker};
 use crate::hand_eye::HandEye;
 use crate::inputs::as_point;
 use crate::motions::failed;
+use crate::surface::from_level;
 
-/// Places relative to the middle, m: spread in all three directions.
+/// Places relative to the middle, m: spread in all three directions, the third one out of what the hand faces where it works.
 const PLACES: [[f64; 3]; 6] = [
     [-0.09, -0.05, 0.00],
     [0.08, -0.06, 0.05],
@@ -32,6 +33,9 @@ const PLACES: [[f64; 3]; 6] = [
 
 /// From the middle of the arm's workspace to the middle of the places, m.
 const OVER_WORKSPACE: [f64; 3] = [0.0, -0.01, 0.15];
+/// Places that are enough, and a residual of the fit with which none is left out, m.
+const ENOUGH: usize = 4;
+const GOOD: f64 = 0.004;
 /// Frames that are averaged at each place.
 const FRAMES: usize = 5;
 
@@ -50,7 +54,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "yaw",
         Type::quantity(Unit::RAD),
         0.5,
-        "How far the level hand is turned from forward towards the robot's middle.",
+        "How far the hand is turned, facing as where it works, from forward towards the robot's middle.",
     )
     .optional("residual", Type::quantity(Unit::M), 0.012, "Largest residual of the fit that is accepted.")
     .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.");
@@ -58,36 +62,46 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
+    let (works, hand) = (workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?, hand(model, arm.limb())?);
+    let facing = from_level(&hand.grasps_from(&works.rotation));
     let center = match context.value("center")? {
         center if center.as_list().is_some_and(<[Value]>::is_empty) => {
-            Point3::from(workspace(model, arm.limb())?.translation.vector + Vector3::from(OVER_WORKSPACE))
+            Point3::from(works.translation.vector + facing * Vector3::from(OVER_WORKSPACE))
         }
         center => as_point(center).ok_or_else(|| Failure::new("`center` needs three numbers"))?,
     };
     let yaw = model.side_of(arm.limb()) * context.number("yaw")?;
-    let palm = hand(model, arm.limb())?.palm_down(yaw);
+    let palm = facing * hand.palm_down(yaw);
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut watcher = MarkerWatcher::new(&equipment, arm.limb())?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
-        let tcp = Isometry3::from_parts((center.coords + Vector3::from(place)).into(), palm);
+        let tcp = Isometry3::from_parts((center.coords + facing * Vector3::from(place)).into(), palm);
         go(&mut arm, &mut senses, tcp).await?;
         if let Some((is, should)) = watcher.look(&equipment, &mut arm, &mut senses).await? {
             seen.push(is);
             expected.push(should);
         }
     }
-    if seen.len() < 4 {
+    if seen.len() < ENOUGH {
         return Err(Failure::new(format!(
             "the marker on the hand was seen in {} of {} places; do both cameras work, and is the light on?",
             seen.len(),
             PLACES.len()
         )));
     }
-    let fit = rigid_fit(&seen, &expected).map_err(|e| Failure::new(e.to_string()))?;
+    let mut fit = rigid_fit(&seen, &expected).map_err(failed)?;
+    // Where the hand hides a part of the marker, that is seen beside its place.
+    while fit.rms > GOOD && seen.len() > ENOUGH {
+        let off = |i: usize| (fit.target_from_source * seen[i] - expected[i]).norm();
+        let worst = (0..seen.len()).max_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0);
+        seen.remove(worst);
+        expected.remove(worst);
+        fit = rigid_fit(&seen, &expected).map_err(failed)?;
+    }
     if fit.rms > largest {
         return Err(Failure::new(format!(
             "hand and cameras do not agree: {:.0} mm remain after calibration; are the eyes in the right order?",

@@ -33,7 +33,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let speed = context.number("speed")?;
     let (empty_below, timeout) = (context.number("empty_below")?, context.number("timeout")?);
-    let hand = Hand::take(&equipment, &context)?;
+    let hand = Hand::take(&equipment, &context).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut elapsed, mut stopped_for) = (0.0, 0.0);
     loop {

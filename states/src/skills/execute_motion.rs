@@ -43,12 +43,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let force = context.number("force")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let (mut wiper, correction) = Wiper::take_fitted(&equipment, &context, &tool).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let correction = wiper.motion().surface().cloned();
-    let correction = correction.ok_or_else(|| {
-        Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
-    })?;
     wiper.start_nearest(&senses.newest())?;
     // The coach changes the motion, so the stiffness cannot be estimated from cycle to cycle any more.
     let stiffness = context.number("stiffness")?;
@@ -58,6 +54,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let Err(end) = wipe(&context, &mut wiper, &mut senses, &mut surface).await;
     // After a failure (a lost contact), the learned surface is not worth keeping.
     let learned = context.cancel.is_cancelled().then(|| surface.correction());
+    // Coaches may have moved the middle.
+    wiper.set_height(0.0)?;
     wiper.finish(learned, None).await?;
     Err(end)
 }
@@ -69,7 +67,6 @@ async fn wipe(
     senses: &mut Senses,
     surface: &mut SurfaceAdaptation,
 ) -> Result<Infallible, Failure> {
-    let z = wiper.motion().primitive().centre()[2];
     let slow_down = SlowDown::default();
     let mut contact = ContactWatch::default();
     let _frames_are_wanted = context.channels.demand("hand");
@@ -80,7 +77,7 @@ async fn wipe(
         contact.check(dt, pressing)?;
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
         let pace = surface.pace().min(slow_down.factor(distance_of_hand(&context.channels)));
-        let height = Height { z: z + command.offset, rate: command.velocity };
+        let height = Height { over: command.offset, rate: command.velocity };
         omega = wiper.step(&sample, dt, pace, height)?.omega;
     }
 }

@@ -59,13 +59,13 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let force = context.number("force")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &context, &tool).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    required_speed(&equipment, &wiper.arm, wiper.motion(), &tool.tcp, tool.standing_height())?;
+    required_speed(&equipment, &wiper, 0.0)?;
 
     wiper.start_nearest(&senses.newest())?;
     let rise = wiper.rise_from(&tool);
-    let above = tool.standing_height() + context.number("hover")? + rise;
+    let above = context.number("hover")? + rise;
     wiper.approach(&mut senses, above, 0.2).await?;
     let sensor = sensor_of(wiper.arm.limb())?;
     equipment.robot.tare(&equipment.robot.model().wrenches()[sensor].name).map_err(failed)?;
@@ -97,10 +97,11 @@ async fn fit(
     (force, rise): (f64, f64),
 ) -> Result<SurfaceAdaptation, Failure> {
     let touched = touch_down(context, wiper, senses, (force, rise)).await?;
-    let config = SurfaceConfig { force, ..SurfaceConfig::default() };
-    let (surface, z) = begin(config, wiper.motion().surface(), touched, wiper.phase()).map_err(failed)?;
-    let surface = learn(context, wiper, senses, surface, z).await?;
-    wiper.set_height(z)?;
+    let normal = wiper.normal().into_inner().into();
+    let config = SurfaceConfig { force, normal, ..SurfaceConfig::default() };
+    let (surface, over) = begin(config, wiper.motion().surface(), touched, wiper.phase()).map_err(failed)?;
+    let surface = learn(context, wiper, senses, surface, over).await?;
+    wiper.set_height(over)?;
     Ok(surface)
 }
 
@@ -114,15 +115,17 @@ fn begin(
 ) -> Result<(SurfaceAdaptation, f64), MotionError> {
     match known {
         Some(known) => {
-            let surface = SurfaceAdaptation::resume(config, known.clone(), phase)?;
-            Ok((surface, touched - known.offset(phase)))
+            // What was learned are the offsets along the normal; the surface may now be tilted otherwise.
+            let (weights, width) = (known.weights().to_vec(), known.kernels().width());
+            let here = SurfaceCorrection::new(weights, width, config.normal)?;
+            Ok((SurfaceAdaptation::resume(config, here, phase)?, touched - known.offset(phase)))
         }
         None => Ok((SurfaceAdaptation::new(config)?, touched)),
     }
 }
 
-/// Lowers the tool until the force is reached; returns the TCP's height there, m. The surface may be `rise` m higher or lower than
-/// where the tool was grasped.
+/// Lowers the tool until the force is reached; returns the TCP's height there over where the tool was grasped, m. The surface may
+/// be `rise` m higher or lower than that.
 async fn touch_down(
     context: &SkillContext,
     wiper: &mut Wiper,
@@ -133,15 +136,15 @@ async fn touch_down(
     let config =
         TouchdownConfig { force, farthest: hover + 2.0 * rise + MAX_DEPTH, ..TouchdownConfig::default() };
     let mut touchdown = Touchdown::new(config).map_err(failed)?;
-    let mut z = wiper.arm.tcp(&senses.newest()).translation.z;
+    let mut over = wiper.height(&senses.newest());
     loop {
         let (sample, dt) = senses.next().await?;
         let rate = touchdown.step(dt, wiper.touch(&sample, dt)?).map_err(failed)?;
-        z += rate * dt;
-        wiper.step(&sample, dt, 0.0, Height { z, rate })?;
+        over += rate * dt;
+        wiper.step(&sample, dt, 0.0, Height { over, rate })?;
         match touchdown.status() {
             TouchdownStatus::Approaching | TouchdownStatus::Pressing => {}
-            TouchdownStatus::Done => return Ok(z),
+            TouchdownStatus::Done => return Ok(over),
             TouchdownStatus::NoSurface => {
                 return Err(Failure::new(format!(
                     "no surface was felt {:.0} mm below where the tool was grasped; is the tool still in the hand?",
@@ -163,7 +166,7 @@ async fn learn(
     wiper: &mut Wiper,
     senses: &mut Senses,
     mut surface: SurfaceAdaptation,
-    z: f64,
+    over: f64,
 ) -> Result<SurfaceAdaptation, Failure> {
     let tolerance = context.number("tolerance")?;
     let most_cycles = context.number("cycles")?;
@@ -176,7 +179,7 @@ async fn learn(
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
         let settled = surface.cycles() >= MIN_CYCLES && surface.settled(tolerance);
         let pace = if settled { 0.0 } else { surface.pace() };
-        let height = Height { z: z + command.offset, rate: command.velocity };
+        let height = Height { over: over + command.offset, rate: command.velocity };
         omega = wiper.step(&sample, dt, pace, height)?.omega;
         if settled && wiper.pace() == 0.0 {
             return Ok(surface);

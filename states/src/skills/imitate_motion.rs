@@ -22,7 +22,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
             .input("motion", Type::motion(), "The motion.")
             .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
-            .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the table.")
+            .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the highest place of the table under its path.")
             .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
             .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
             .publishes("motion")
@@ -36,17 +36,17 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let periods = context.value("periods")?.as_int().unwrap_or(3).max(1);
-    let z = tool.standing_height() + context.number("height")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let over = context.number("height")?;
+    let mut wiper = Wiper::take_free(&equipment, &context, &tool).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    required_speed(&equipment, &wiper.arm, wiper.motion(), &tool.tcp, z)?;
+    required_speed(&equipment, &wiper, over)?;
     wiper.start_nearest(&senses.newest())?;
-    wiper.approach(&mut senses, z, 0.2).await?;
+    wiper.approach(&mut senses, over, 0.2).await?;
     let wanted = SETTLING + f64::from(i32::try_from(periods).unwrap_or(i32::MAX));
     let (mut turned, mut pace) = (0.0, 1.0);
     loop {
         let (sample, dt) = senses.next().await?;
-        let progress = wiper.step(&sample, dt, pace, Height { z, rate: 0.0 })?;
+        let progress = wiper.step(&sample, dt, pace, Height { over, rate: 0.0 })?;
         // Periods are counted from the moment at which the motion has its full frequency.
         let before = turned;
         if wiper.pace() >= 1.0 {

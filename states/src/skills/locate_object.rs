@@ -1,4 +1,5 @@
-//! `LocateObject`: finds an object of prior knowledge in the stereo images by its colour and size.
+//! `LocateObject`: finds an object of prior knowledge in the stereo images by its colour and size, and the table on which it
+//! stands, where the images have depth.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,7 +8,7 @@ use armarium_memoryx::{Commit, EntityId};
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 use armarium_visionx::{BoxModel, ColorModel, ObjectEstimate, ObjectLocalizer};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
@@ -16,6 +17,7 @@ use crate::hand_eye::HandEye;
 use crate::inputs::{pose_value, reference};
 use crate::motions::failed;
 use crate::prior::object_class;
+use crate::surface::Surface;
 
 /// Number of good detections that are averaged.
 const DETECTIONS: usize = 5;
@@ -23,7 +25,7 @@ const DETECTIONS: usize = 5;
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "LocateObject",
-        "Finds an object of prior knowledge in the stereo images and puts it into memory.",
+        "Finds an object of prior knowledge in the stereo images and puts it into memory, with the table on which it stands.",
     )
     .input("object", Type::String, "Object class in prior knowledge.")
     .names(NameKind::ObjectClass)
@@ -39,10 +41,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let class = object_class(&*equipment.memory, name).await?;
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
-    let localizer = ObjectLocalizer::new(equipment.images.calibration(), model);
+    let mut localizer = ObjectLocalizer::new(equipment.images.calibration(), model);
     let mut frames = Frames::corrected(&equipment.images, hand_eye);
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut sights: Vec<ObjectEstimate> = Vec::new();
+    let mut tilt = UnitQuaternion::identity();
     let (mut waited, mut looked) = (0.0, 0);
     while sights.len() < DETECTIONS {
         let (_, dt) = senses.next().await?;
@@ -56,9 +59,20 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
         let Some(frame) = frames.new_frame()? else { continue };
         looked += 1;
+        if sights.is_empty()
+            && let Some(first) = localizer.localize(&frame)
+        {
+            let middle = Point3::from(first.root_from_object.translation.vector);
+            let memory = (&*equipment.memory, equipment.agent.as_str());
+            let camera = equipment.images.calibration().camera;
+            if let Some(table) = Surface::see(memory, camera, &frame, (&middle, class.size[2])).await? {
+                tilt = table.rotation();
+                localizer = localizer.standing_on(tilt);
+            }
+        }
         sights.extend(localizer.localize(&frame));
     }
-    let pose = median(&sights);
+    let pose = median(&sights, &tilt);
     let stamp_ns = senses.newest().stamp_ns;
     let id = EntityId::new("ObjectInstances", &equipment.agent, name).map_err(failed)?;
     let attributes =
@@ -69,9 +83,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("object", reference("Object", &id)).with("pose", pose_value(&pose)))
 }
 
-/// The median of each coordinate. The yaw is taken relative to the first detection, as a box looks the same after
+/// The median of each coordinate, upright on a surface of this tilt. The yaw is taken relative to the first detection, as a box looks the same after
 /// half a turn.
-fn median(sights: &[ObjectEstimate]) -> Isometry3<f64> {
+fn median(sights: &[ObjectEstimate], tilt: &UnitQuaternion<f64>) -> Isometry3<f64> {
     let middle = |value: &dyn Fn(&ObjectEstimate) -> f64| {
         let mut values: Vec<f64> = sights.iter().map(value).collect();
         values.sort_by(f64::total_cmp);
@@ -84,5 +98,6 @@ fn median(sights: &[ObjectEstimate]) -> Isometry3<f64> {
     };
     let yaw = first + middle(&|s| turn(s.yaw));
     let at = |axis: usize| middle(&|s| s.root_from_object.translation.vector[axis]);
-    Isometry3::new(Vector3::new(at(0), at(1), at(2)), Vector3::z() * yaw)
+    let upright = tilt * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    Isometry3::from_parts(Vector3::new(at(0), at(1), at(2)).into(), upright)
 }

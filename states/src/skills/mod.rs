@@ -11,6 +11,7 @@ mod keep_motion;
 mod locate_object;
 mod look_at;
 mod move_joints;
+mod move_platform;
 mod move_tcp;
 mod move_tcp_by;
 mod movement_imitation;
@@ -18,6 +19,8 @@ mod open_hand;
 mod plan_grasp;
 mod recall_motion;
 mod recall_object;
+mod reset_stop;
+mod shape_hand;
 mod tare;
 mod verify_grasp;
 mod vision_coaching;
@@ -35,6 +38,7 @@ use crate::equipment::Equipment;
 pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
     vec![
         move_joints::skill(equipment),
+        move_platform::skill(equipment),
         move_tcp::skill(equipment),
         move_tcp_by::skill(equipment),
         look_at::skill(equipment),
@@ -46,6 +50,8 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         plan_grasp::skill(equipment),
         visual_servo::skill(equipment),
         tare::skill(equipment),
+        reset_stop::skill(equipment),
+        shape_hand::skill(equipment),
         weigh_hand::skill(equipment),
         verify_grasp::skill(equipment),
         attach_object::skill(equipment),

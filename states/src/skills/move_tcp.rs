@@ -46,7 +46,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         timeout: context.number("timeout")?,
     };
     let speed = context.number("speed")?;
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[target]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (model, now) = (equipment.robot.model(), senses.newest().position.clone());
     let around = Around::of(&equipment, arm.limb(), arm.joints(), &now, Some(&target)).await?;

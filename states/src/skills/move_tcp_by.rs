@@ -32,7 +32,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         timeout: context.number("timeout")?,
     };
     let speed = context.number("speed")?;
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut target = arm.tcp(&senses.newest());
     target.translation.vector += offset;

@@ -21,7 +21,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let aperture = context.number("aperture")?;
     let timeout = context.number("timeout")?;
-    let hand = Hand::take(&equipment, &context)?;
+    let hand = Hand::take(&equipment, &context).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut elapsed = 0.0;
     loop {

@@ -1,5 +1,5 @@
-//! `PlanGrasp`: chooses a grasp of an object from above: the yaw of the level hand for which the arm has the most
-//! margin to its joint limits.
+//! `PlanGrasp`: chooses a grasp of an object straight against the surface on which it stands: the yaw of the hand for which the
+//! arm has the most margin to its joint limits.
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use armarium_robot::{Hand, Limb, Model, PoseOptions, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3};
 use rand_chacha::ChaCha8Rng;
 
 use crate::arm::{chosen, names_the_arm, tcp_of};
@@ -16,6 +16,7 @@ use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
+use crate::surface::Surface;
 
 /// Possible rotations of the hand against the object's sides, rad; the closing pads align the object. Each radian
 /// costs [`MISALIGNMENT_COST`].
@@ -30,12 +31,12 @@ const CLEARANCE: f64 = 0.01;
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "PlanGrasp",
-        "Chooses the pose of the hand for a grasp from above, by the arm's margin.",
+        "Chooses the pose of the hand for a grasp against the surface on which the object stands, by the arm's margin.",
     )
     .input("object", Type::object(), "The object in memory.")
-    .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp.")
+    .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp, along the surface's normal.")
     .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
-    .output("pre_pose", Type::Pose, "Pose of the TCP above it.");
+    .output("pre_pose", Type::Pose, "Pose of the TCP over it.");
     equipment::skill(equipment, names_the_arm(manifest), run)
 }
 
@@ -54,11 +55,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let class = class_name(&snapshot)?;
     let [length, width, _] = object_class(&*equipment.memory, class).await?.size;
     let center = Point3::from(object.translation.vector);
-    let yaw = object.rotation.euler_angles().2;
+    let surface = Surface::under(&*equipment.memory, &center).await?;
+    let yaw = (surface.rotation().inverse() * object.rotation).euler_angles().2;
     let model = equipment.robot.model();
     let arm = chosen(&equipment, &context)?;
     let hand = hand(model, arm)?;
     let mut random = equipment.random();
+    let ready = model.taken_at(model.ready(&arm.name), &equipment.robot.sensed().borrow().position);
     let opening = widest_opening(model, hand);
     let mut best: Option<Candidate> = None;
     let mut nearest = f64::INFINITY;
@@ -69,8 +72,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 continue;
             }
             let hand_yaw = yaw + f64::from(quarter) * FRAC_PI_2 + misalignment;
-            let grasp = tcp_at(hand, &center, hand_yaw);
-            match candidate(model, arm, grasp, (height, misalignment), &mut random)? {
+            let grasp = tcp_at(hand, &center, &surface.rotation(), hand_yaw);
+            let mut pre = grasp;
+            pre.translation.vector += surface.normal().scale(height);
+            match candidate((model, arm, &ready), (grasp, pre), misalignment, &mut random)? {
                 Ok(found) if best.as_ref().is_none_or(|b| found.score > b.score) => best = Some(found),
                 Ok(_) => {}
                 Err(missing) => nearest = nearest.min(missing),
@@ -90,7 +95,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             _ => "a joint would stand at its limit".into(),
         };
         return Err(Failure::new(format!(
-            "the object at x {:.2}, y {:.2}, z {:.2} m is out of the arm's reach from above: {lack}",
+            "the object at x {:.2}, y {:.2}, z {:.2} m is out of the arm's reach from over it: {lack}",
             center.x, center.y, center.z
         )));
     };
@@ -112,21 +117,18 @@ fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
 /// A grasp with its score; else its distance from the reachable space, m, which is 0 if only a joint limit is too
 /// near.
 fn candidate(
-    model: &Arc<Model>,
-    arm: &Limb,
-    grasp: Isometry3<f64>,
-    (height, misalignment): (f64, f64),
+    (model, arm, ready): (&Arc<Model>, &Limb, &[f64]),
+    (grasp, pre): (Isometry3<f64>, Isometry3<f64>),
+    misalignment: f64,
     random: &mut ChaCha8Rng,
 ) -> Result<Result<Candidate, f64>, Failure> {
     let tcp = tcp_of(arm)?;
-    let mut pre = grasp;
-    pre.translation.vector += Vector3::z() * height;
     let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
     let joints = &model.reaching_joints(&arm.name);
     let mut solve = |target: &Isometry3<f64>, seed: &[f64]| {
         solve_pose(model, tcp, joints, target, seed, &options, random).map_err(|e| e.position_error_m)
     };
-    let solved = solve(&grasp, model.ready(&arm.name)).and_then(|at_grasp| {
+    let solved = solve(&grasp, ready).and_then(|at_grasp| {
         let at_pre = solve(&pre, &at_grasp)?;
         Ok((at_grasp, at_pre))
     });

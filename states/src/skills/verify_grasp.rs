@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_robot::Load;
+use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
@@ -15,10 +15,11 @@ use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, pose_value};
+use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
+use crate::surface::Surface;
 
 const GRAVITY: f64 = 9.81;
 /// A hand with an aperture below this holds nothing, m.
@@ -38,14 +39,14 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         .input("empty", Type::quantity(Unit::N), "Upward force on the empty hand in this posture.")
         .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
         .output("mass", Type::quantity(Unit::KG), "Mass of the object, by the difference of weights.")
-        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, height and mass of the object.");
+        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, the surface that the object stood on (a pose, z its normal), height and mass of the object.");
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let object = context.entity("object")?;
     let class = class_of(&*equipment.memory, &object).await?;
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
 
     let model = equipment.robot.model();
@@ -68,14 +69,22 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tcp_at_grasp = context.pose("tcp_at_grasp")?;
     let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
-    let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, stood.z)).await?;
+    let surface = Surface::under(&*equipment.memory, &stood).await?;
+    let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
-    let load = Load { name: object.to_string(), mass_kg: mass, center_in_tcp: held };
+    let size = Vector3::from(class.size);
+    let stood_as = equipment.memory.latest(&object).await.map_err(failed)?;
+    let stood_as = stood_as.attribute("pose").and_then(as_pose).map_or(surface.rotation(), |pose| pose.rotation);
+    // Its turn in the hand is as it stood; its middle is where the hand holds.
+    let tcp_from_box = Isometry3::from_parts(held.coords.into(), tcp_at_grasp.rotation.inverse() * stood_as);
+    let shape = Some(LoadShape { tcp_from_box, size });
+    let load = Load { name: object.to_string(), mass_kg: mass, center_in_tcp: held, shape };
     equipment.robot.set_load(&hand.name, Some(load)).map_err(failed)?;
     let grasp = BTreeMap::from([
         ("tcp".to_owned(), pose_value(&tcp_at_grasp)),
+        ("surface".to_owned(), pose_value(&surface.pose())),
         ("height".to_owned(), Value::Float(class.size[2])),
         ("mass".to_owned(), Value::Float(mass)),
     ]);
@@ -107,15 +116,15 @@ impl ObjectDetection {
     }
 }
 
-/// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height
-/// `stood`, m. Detections above or below the table's height are ignored: they are the arm, or two parts of the
-/// object matched as one.
+/// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height of `stood`
+/// over the surface on which it stood. Detections above or below that are ignored: they are the arm, or two parts of the object
+/// matched as one.
 async fn look(
     equipment: &Equipment,
     arm: &mut Arm,
     senses: &mut Senses,
     color: [u8; 3],
-    (held_in_tcp, stood): (&Point3<f64>, f64),
+    (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
 ) -> Result<ObjectDetection, Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
@@ -132,7 +141,8 @@ async fn look(
         let held_in_left = frame.root_from_left.inverse() * held;
         let Some(seen) = tracking.update_near(&frame, Some(&held_in_left)) else { continue };
         let away = (seen.point_in_left - held_in_left).norm();
-        if away < IN_HAND || ((frame.root_from_left * seen.point_in_left).z - stood).abs() < ON_TABLE {
+        let at = frame.root_from_left * seen.point_in_left;
+        if away < IN_HAND || (surface.above(&at) - surface.above(stood)).abs() < ON_TABLE {
             nearest = nearest.min(away);
         }
         if nearest < IN_HAND {

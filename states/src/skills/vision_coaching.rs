@@ -13,6 +13,13 @@ use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 
+/// What the robot says when two passes are about as near to a hand that it did not see come.
+const AMBIGUOUS: &str = "I pass there twice, and do not know which pass you mean. Please come again as I pass.";
+/// What it says when a gesture has moved the path by less than this, m, for so long, s.
+const WITHOUT_EFFECT: &str = "Your gesture moves nothing: you may be too near to my path, or too far from it.";
+const NO_EFFECT: f64 = 0.005;
+const NO_EFFECT_FOR: f64 = 6.0;
+
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")
         .input("motion", Type::motion(), "The running motion.")
@@ -28,6 +35,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let _frames_are_wanted = context.channels.demand("hand");
     let mut displacement = 0.0_f64;
     let mut filter = GestureFilter::default();
+    let (mut shown, mut told) = (0.0, false);
     loop {
         let dt = coaching.next().await?;
         let seen = context.channels.newest("hand");
@@ -37,6 +45,17 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let report = coaching.apply(dt, input)?;
         if report.active {
             displacement = displacement.max(report.displacement);
+        }
+        shown = if input == CoachInput::None { 0.0 } else { shown + dt };
+        let without_effect = shown > NO_EFFECT_FOR && displacement < NO_EFFECT;
+        let said = match () {
+            () if report.ambiguous => Some(AMBIGUOUS),
+            () if without_effect => Some(WITHOUT_EFFECT),
+            () => None,
+        };
+        if let Some(said) = said.filter(|_| !told) {
+            told = true;
+            equipment.robot.say(said);
         }
         if coaching.idle() > patience {
             return Ok(Outcome::success().with("displacement", displacement));

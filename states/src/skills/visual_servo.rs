@@ -1,7 +1,7 @@
 //! `VisualServoTowardsTargetPose`: moves the hand to a grasp of an object by observing both.
 //!
 //! Hand and object are seen by the same cameras, and the error is computed from both, so that an error of the
-//! cameras' mounting cancels. The hand comes from above: first over the object, then down.
+//! cameras' mounting cancels. The hand comes from over the object: first to the pre-pose, then straight to the grasp.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use armarium_values::{Type, Unit};
 use armarium_visionx::{
     BoxModel, ColorMarkerObjectTracking, ColorModel, MarkerSettings, ObjectLocalizer, StereoFrame,
 };
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use crate::arm::{Arm, Senses, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
@@ -23,6 +23,7 @@ use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 use crate::skills::move_tcp::tolerances;
+use crate::surface::Surface;
 
 /// An object of which a smaller share than this is visible (the hand covers it) does not move the target.
 const WELL_VISIBLE: f64 = 0.8;
@@ -49,24 +50,24 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[context.pose("target")?]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut sight = Detections::new(&equipment, &context, arm.limb()).await?;
-    let above = context.pose("pre_pose")?.translation.z - context.pose("target")?.translation.z;
-    servo(&equipment, &context, &mut arm, &mut senses, &mut sight, above).await?;
-    let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, 0.0).await?;
+    let over = context.pose("pre_pose")?.translation.vector - context.pose("target")?.translation.vector;
+    servo(&equipment, &context, &mut arm, &mut senses, &mut sight, over).await?;
+    let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, Vector3::zeros()).await?;
     let tcp = arm.tcp(&senses.newest());
     Ok(Outcome::success().with("tcp", pose_value(&tcp)).with("seen_error", distance))
 }
 
-/// Servoes to `above` m over the grasp; returns the remaining distance, as seen.
+/// Servoes to `over` the grasp (root frame, m); returns the remaining distance, as seen.
 async fn servo(
     equipment: &Equipment,
     context: &SkillContext,
     arm: &mut Arm,
     senses: &mut Senses,
     sight: &mut Detections,
-    above: f64,
+    over: Vector3<f64>,
 ) -> Result<f64, Failure> {
     let mut law = PositionServo::new(ServoConfig {
         position_tolerance: context.number("position_tolerance")?,
@@ -89,7 +90,7 @@ async fn servo(
             let [tcp, marker] =
                 [tcp_of(arm.limb())?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
             let (tcp, marker) = (tcp?, marker?);
-            let observation = sight.observe(&frame, &tcp, &marker, above);
+            let observation = sight.observe(&frame, &tcp, &marker, &over);
             let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;
             match command.status {
                 ServoStatus::Running => {}
@@ -130,7 +131,7 @@ struct Detections {
     /// The middle of what the hand holds, in its TCP's frame.
     held_in_tcp: Point3<f64>,
     /// The hand's planned orientation.
-    palm: nalgebra::UnitQuaternion<f64>,
+    palm: UnitQuaternion<f64>,
 }
 
 impl Detections {
@@ -139,6 +140,7 @@ impl Detections {
         let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
         let pose = snapshot.attribute("pose").and_then(as_pose);
         let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
+        let surface = Surface::under(&*equipment.memory, &pose.translation.vector.into()).await?;
         let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
@@ -148,7 +150,7 @@ impl Detections {
         Ok(Self {
             frames: Frames::corrected(&equipment.images, hand_eye),
             hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
-            localizer: ObjectLocalizer::new(calibration, model),
+            localizer: ObjectLocalizer::new(calibration, model).standing_on(surface.rotation()),
             center: Point3::from(pose.translation.vector),
             held_in_tcp: held_in_tcp(hand(equipment.robot.model(), arm)?),
             palm: context.pose("target")?.rotation,
@@ -164,7 +166,7 @@ impl Detections {
         frame: &StereoFrame,
         tcp: &Isometry3<f64>,
         marker: &Isometry3<f64>,
-        above: f64,
+        over: &Vector3<f64>,
     ) -> Option<ServoObservation> {
         self.look_for_object(frame);
         let seen = self.hand.update(frame).filter(|m| m.visible > 0.3)?;
@@ -172,7 +174,7 @@ impl Detections {
         let shift = seen.coords - marker.translation.vector;
         let mut hand = *tcp;
         hand.translation.vector += shift;
-        let target = self.center.coords - self.palm * self.held_in_tcp.coords + Vector3::z() * above;
+        let target = self.center.coords - self.palm * self.held_in_tcp.coords + over;
         Some(ServoObservation { hand, target: Isometry3::from_parts(target.into(), self.palm) })
     }
 

@@ -21,7 +21,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let duration = context.number("duration")?;
-    let mut arm = Arm::take(&equipment, &context)?;
+    let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let force = mean_force(&mut arm, &mut senses, duration).await?;
     Ok(Outcome::success().with("force", force.z))

@@ -1,0 +1,167 @@
+//! The surface on which something stands, as far as it is known: seen in depth, or in memory; level where nobody knows.
+//!
+//! It is what skills ask instead of taking z for up. Its outward normal is the way from which a hand grasps and along which a
+//! tool presses.
+
+use std::collections::BTreeMap;
+
+use armarium_memoryx::{Commit, EntityId, Memory};
+use armarium_robot::planning::KnownBox;
+use armarium_runtime::skill::Failure;
+use armarium_values::Value;
+use armarium_visionx::{PinholeCamera, StereoFrame, TabletopSegmentation};
+use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
+
+use crate::inputs::pose_value;
+use crate::motions::failed;
+use crate::places::places;
+
+/// What stands on a surface has its underside within this of it, m.
+const STANDS: f64 = 0.04;
+/// What is above a surface by less than this stands on it or is carried over it, m.
+const OVER: f64 = 0.3;
+/// How far beside what was seen of a surface it goes on, m.
+const GOES_ON: f64 = 0.1;
+/// Most visible surfaces are level: one that is steeper than this, rad, is no table.
+const STEEPEST: f64 = 0.35;
+
+/// A plane with an outward normal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Surface {
+    /// A point of it, root frame, m.
+    at: Point3<f64>,
+    normal: Unit<Vector3<f64>>,
+}
+
+impl Surface {
+    /// The surface through a point.
+    pub(crate) fn new(at: Point3<f64>, normal: Unit<Vector3<f64>>) -> Self {
+        Self { at, normal }
+    }
+
+    /// The surface in whose frame z is the normal.
+    pub(crate) fn of(root_from_surface: Isometry3<f64>) -> Self {
+        let normal = Unit::new_normalize(root_from_surface * Vector3::z());
+        Self::new(root_from_surface.translation.vector.into(), normal)
+    }
+
+    /// The level surface through a point.
+    pub(crate) fn level(at: Point3<f64>) -> Self {
+        Self::new(at, Vector3::z_axis())
+    }
+
+    /// The surface in memory over which a point is; the level one through the point where memory knows none.
+    pub(crate) async fn under(memory: &dyn Memory, point: &Point3<f64>) -> Result<Self, Failure> {
+        Ok(Self::known_under(memory, point).await?.unwrap_or_else(|| Self::level(*point)))
+    }
+
+    /// The surface in memory over which a point is, if there is one.
+    pub(crate) async fn known_under(
+        memory: &dyn Memory,
+        point: &Point3<f64>,
+    ) -> Result<Option<Self>, Failure> {
+        let known = places(memory).await?;
+        let tops = known.iter().filter_map(|place| top_under(place, point));
+        Ok(tops.min_by(|a, b| a.above(point).abs().total_cmp(&b.above(point).abs())))
+    }
+
+    /// A pose on it, with its normal as z.
+    pub(crate) fn pose(&self) -> Isometry3<f64> {
+        Isometry3::from_parts(self.at.coords.into(), self.rotation())
+    }
+
+    /// The outward normal.
+    pub(crate) fn normal(&self) -> Unit<Vector3<f64>> {
+        self.normal
+    }
+
+    /// The rotation from a level surface to this one, without a turn about the vertical.
+    pub(crate) fn rotation(&self) -> UnitQuaternion<f64> {
+        from_level(&self.normal)
+    }
+
+    /// The height of a point above it, m.
+    pub(crate) fn above(&self, point: &Point3<f64>) -> f64 {
+        self.normal.dot(&(point - self.at))
+    }
+
+    /// The point of it that is vertically above or below a place, root frame, m.
+    pub(crate) fn at(&self, x: f64, y: f64) -> Point3<f64> {
+        let off = Vector3::new(x - self.at.x, y - self.at.y, 0.0);
+        Point3::new(x, y, self.at.z - self.normal.dot(&off) / self.normal.z.max(STEEPEST.cos()))
+    }
+
+    /// Puts the table on which an object of this `height` (m) with its middle at `middle` stands into memory, as it is seen in a
+    /// frame with depth. Returns its surface; `None` where there is none to be seen.
+    pub(crate) async fn see(
+        (memory, agent): (&dyn Memory, &str),
+        camera: PinholeCamera,
+        frame: &StereoFrame,
+        (middle, height): (&Point3<f64>, f64),
+    ) -> Result<Option<Self>, Failure> {
+        let Some(seen) = TabletopSegmentation::new(camera).segment(frame) else { return Ok(None) };
+        let (root_from_table, [x, y]) = (seen.table.root_from_table, seen.table.size);
+        let surface = Self::of(root_from_table);
+        if (surface.above(middle) - height / 2.0).abs() > STANDS {
+            return Ok(None);
+        }
+        let id = EntityId::new("EnvironmentModels", agent, "table").map_err(failed)?;
+        let attributes = BTreeMap::from([
+            ("pose".to_owned(), pose_value(&root_from_table)),
+            ("size".to_owned(), Value::from([x, y, 0.0])),
+        ]);
+        memory.commit(vec![Commit::new(id, frame.stamp_ns, attributes)]).await.map_err(failed)?;
+        Ok(Some(surface))
+    }
+}
+
+/// The rotation that turns a level surface's normal to this one, the shortest way.
+pub(crate) fn from_level(normal: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), normal)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
+}
+
+/// The upper face of a place, if the point is over it.
+fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
+    let half = place.size / 2.0;
+    let up = (place.root_from_box * Vector3::z()).z.signum();
+    let in_box = place.root_from_box.inverse() * point;
+    let above = up * in_box.z - half.z;
+    let over = in_box.x.abs() < half.x + GOES_ON
+        && in_box.y.abs() < half.y + GOES_ON
+        && (-STANDS..OVER).contains(&above);
+    let normal = Unit::new_normalize(place.root_from_box * Vector3::z() * up);
+    let level_enough = normal.angle(&Vector3::z_axis()) < STEEPEST;
+    let at = place.root_from_box * Point3::new(0.0, 0.0, up * half.z);
+    (over && level_enough).then(|| Surface::new(at, normal))
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_memoryx::{WorkingMemory, tokio_clock};
+
+    use super::*;
+
+    fn table(tilt: f64) -> Isometry3<f64> {
+        Isometry3::new(Vector3::new(0.2, 0.6, 0.9), Vector3::x() * tilt)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn memory_says_what_a_thing_stands_on() {
+        let memory = WorkingMemory::new(tokio_clock());
+        let point = Point3::new(0.3, 0.5, 0.93);
+        let known = Surface::under(&memory, &point).await.unwrap();
+        assert_eq!(known, Surface::level(point), "nothing is known");
+        let id = EntityId::new("EnvironmentModels", "test", "table").unwrap();
+        let pose = table(0.2);
+        let size = Value::from([1.0, 0.7, 0.0]);
+        memory.commit(vec![Commit::new(id, 0, [("pose", pose_value(&pose)), ("size", size)])]).await.unwrap();
+        let known = Surface::under(&memory, &point).await.unwrap();
+        assert!((known.normal().into_inner() - pose * Vector3::z()).norm() < 1e-9);
+        assert!(known.above(&(pose * Point3::new(0.1, 0.1, 0.0))).abs() < 1e-9);
+        let there = known.at(0.35, 0.45);
+        assert!(known.above(&there).abs() < 1e-9 && there.x == 0.35 && there.y == 0.45);
+        let beside = Surface::under(&memory, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();
+        assert_eq!(beside.normal(), Vector3::z_axis());
+    }
+}
