@@ -68,7 +68,7 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
     }
     findings.sort_by(|a, b| {
         let key = |f: &'_ Finding| (f.span.start, f.code);
-        a.source.path.cmp(&b.source.path).then_with(|| key(a).cmp(&key(b)))
+        a.source.by_path(&b.source).then_with(|| key(a).cmp(&key(b)))
     });
     explain(&mut findings);
     // A chart that is used twice is compiled twice; what is wrong with it is said once.

@@ -14,7 +14,7 @@ use super::library::Library;
 use super::model::{self, ActionKind};
 use super::scoped::{Scoped, can_end, reached, scoped};
 use crate::program::limbs::Limbs;
-use crate::program::{Kind, Program, State, StateId};
+use crate::program::{Kind, Pattern, Program, State, StateId};
 
 /// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known
 /// either.
@@ -106,9 +106,14 @@ impl Lint<'_, '_> {
             broadcast.extend(chart.events.iter().map(|(event, _)| event.text.clone()));
             raised(&chart.root, &mut broadcast);
         }
+        let ends_matter = self.program.transitions.iter().any(|transition| match &transition.pattern {
+            Pattern::Exact(event) | Pattern::Prefix(event) => event.starts_with("done"),
+            _ => false,
+        });
         for id in self.ids() {
             let state = self.program.state(id);
-            if missing.contains(&id) || can_end(self.program, id, &|end| reached[end as usize]) {
+            let ends = || missing.contains(&id) || can_end(self.program, id, &|end| reached[end as usize]);
+            if ends_matter && ends() {
                 broadcast.insert(format!("done.state.{}", state.name));
             }
             if let Kind::Skill { manifest } = &state.kind {
