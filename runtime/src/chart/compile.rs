@@ -15,6 +15,7 @@ use super::expressions::{self, Names, Scope, Site};
 use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
 use super::lint::lint;
+use super::literals::negative_time;
 use super::model::{self, Chart};
 use super::names::unknown_names;
 use super::suspicious::suspicious;
@@ -318,9 +319,7 @@ impl<'t> Compiler<'t> {
             _ => None,
         };
         if seconds.is_some_and(|seconds| seconds < 0.0) {
-            self.reporting(site.source, |_, findings| {
-                findings.error(code::VALUE, node.span, "a duration is not negative");
-            });
+            self.reporting(site.source, |_, findings| negative_time(node, findings));
         }
     }
 

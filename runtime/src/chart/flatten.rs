@@ -344,7 +344,9 @@ impl<'l> Flattening<'l, '_> {
                 if self.stack.contains(&name.text) {
                     let message =
                         format!("charts contain each other: {} -> {}", self.stack.join(" -> "), name.text);
-                    self.error(source, code::CYCLE, name, message, None);
+                    let help =
+                        "a chart cannot be inside of itself: put what both need into a chart of its own";
+                    self.error(source, code::CYCLE, name, message, Some(help.to_owned()));
                     return;
                 }
                 let outputs: Vec<_> =

@@ -33,6 +33,12 @@ pub(super) fn lint(program: &Program, tree: &Tree<'_>, library: &Library, unknow
     lint.findings
 }
 
+/// What other languages call outcomes.
+const OUTCOMES: [(&str, &[&str]); 2] = [
+    ("failure", &["failed", "fail", "error", "aborted", "abort", "Failure", "FAILURE", "onError"]),
+    ("success", &["succeeded", "done", "ok", "finished", "completed", "Success", "SUCCESS", "onDone"]),
+];
+
 struct Lint<'a, 'l> {
     program: &'a Program,
     tree: &'a Tree<'l>,
@@ -152,6 +158,10 @@ impl Lint<'_, '_> {
                 let near = seen.range((id, "")..(id + 1, "")).map(|(_, name)| *name);
                 let candidates = near.chain(broadcast.iter().map(String::as_str)).take(few);
                 let near = nearest(text, candidates.chain(["failure"])).map(str::to_owned);
+                let said =
+                    OUTCOMES.iter().find(|(_, words)| words.contains(&text)).map(|(outcome, _)| *outcome);
+                let comes = |outcome: &&str| *outcome == "failure" || seen.contains(&(id, outcome));
+                let near = said.filter(comes).map(str::to_owned).or(near);
                 let message = format!("nobody raises the event `{text}` here");
                 let (help, remedy) = match near {
                     Some(near) => {

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_source::yaml::{Named, Node, Yaml};
-use armarium_source::{Finding, Findings, Remedy, Severity, Span, code};
+use armarium_source::{Edit, Entry, Finding, Findings, Remedy, Severity, Span, code};
+use armarium_values::expr::nearest;
 use armarium_values::{Type, Value};
 
 use super::flatten::Tree;
@@ -228,6 +229,11 @@ impl Search<'_, '_> {
                             message,
                             "add `if`, or wait with `after`",
                         );
+                        let waits = self.after_for_always(next);
+                        self.findings
+                            .last_mut()
+                            .into_iter()
+                            .for_each(|finding| finding.remedy = waits.clone());
                     }
                     break;
                 }
@@ -238,6 +244,19 @@ impl Search<'_, '_> {
             }
             way.iter().for_each(|state| followed[*state as usize] = true);
         }
+    }
+
+    /// `after: {1s: Target}` in the place of `always: Target`.
+    fn after_for_always(&self, state: StateId) -> Option<Remedy> {
+        let flat = self.tree.state(state);
+        let [target] = &flat.model.always.first()?.targets[..] else { return None };
+        let source = &self.tree.sources[flat.source as usize];
+        let written = |entry: &&Entry| entry.value == Some(target.span.start);
+        let key = source.layout().entries.iter().find(written).filter(|entry| {
+            !entry.item && source.text.get(entry.key.start..entry.key.end) == Some("always")
+        })?;
+        let edits = [(key.key, "after".to_owned()), (target.span, format!("{{1s: {}}}", target.text))];
+        Some(Remedy::Replace(edits.into_iter().map(|(span, text)| Edit { span, text }).collect()))
     }
 
     /// The state that is active at once after `state` was entered, where that is certain.
@@ -277,8 +296,9 @@ fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, given: Option<&'p BTreeSe
         if output.default.is_none() && !found.assigned.contains(&output.name) {
             let at = place_of(chart, &[Section::Outputs], &output.name);
             let message = format!("nothing sets the output `{}`", output.name);
-            let help = format!("set it with `assign: {{outputs.{}: ...}}`", output.name);
+            let help = format!("set it with `assign: {{outputs.{}: ...}}`, or remove it", output.name);
             found.findings.add(Severity::Warning, code::UNSET, at, message, Some(help));
+            found.findings.remedy(Remedy::Remove(at));
         }
     }
     found.findings.list
@@ -352,8 +372,13 @@ impl Written<'_> {
     fn heard(&mut self, event: &Named) {
         if !self.taken.takes(&event.text) {
             let message = format!("nobody takes the event `{}`", event.text);
-            let help = format!("add `transitions: {{{}: ...}}` where it matters", event.text);
+            let near = nearest(&event.text, self.taken.exact.iter().copied());
+            let help = match near {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => format!("add `transitions: {{{}: ...}}` where it matters", event.text),
+            };
             self.findings.add(Severity::Warning, code::UNHEARD, event.span, message, Some(help));
+            near.into_iter().for_each(|near| self.findings.remedy(Remedy::replace(event.span, near)));
         }
     }
 
@@ -480,7 +505,7 @@ fn variable_in_brackets(text: &str) -> Option<(&str, &str)> {
 }
 
 /// `inputs.force`, `channels.wrist.push`.
-fn is_path(text: &str) -> bool {
+pub(super) fn is_path(text: &str) -> bool {
     let Some((first, rest)) = text.split_once('.') else { return false };
     matches!(first, "inputs" | "locals" | "outputs" | "channels" | "event")
         && rest.split('.').all(super::read::is_name)

@@ -14,7 +14,7 @@ use super::LEASE;
 use super::agents::Agents;
 use super::serve::{ServeError, respond};
 use super::wire::{EventMessage, EventReceipt, MessageError, answered, packed, unpacked};
-use crate::exec::{DeliveryError, RemoteEvent, Subscribers, Transport};
+use crate::exec::{DeliveryError, Raised, RemoteEvent, Subscribers, Transport};
 
 /// Largest number of waiting queries.
 const MAX_QUERIES: usize = 256;
@@ -61,6 +61,9 @@ impl Agents {
             match receipts.map_err(DeliveryError::transport)?.as_slice() {
                 [] if left.is_zero() => return Err(DeliveryError::NoAgent { agent }),
                 [] => sleep(RETRY_INTERVAL.min(left)).await,
+                [EventReceipt { dropped: Some(reason), .. }] => {
+                    return Err(DeliveryError::Dropped { agent, reason: reason.clone() });
+                }
                 [one] if one.charts > 0 => return Ok(()),
                 [_] => return Err(DeliveryError::NoChart { agent, chart }),
                 [one, two, ..] => {
@@ -83,25 +86,28 @@ pub async fn receive_events(
 ) -> Result<(), ServeError> {
     let key = keys::event(agent)?;
     let mut questions = session.declare_queryable(key.clone(), MAX_QUERIES).await?;
-    let mut remembered: VecDeque<(String, u32)> = VecDeque::new();
+    let mut remembered: VecDeque<(String, EventReceipt)> = VecDeque::new();
     let instance = session.id();
     while let Some(question) = questions.next().await {
-        let mut receive = || -> Result<EventReceipt, EventError> {
+        let mut receive = async || -> Result<EventReceipt, EventError> {
             let message: EventMessage = unpacked(&question.encoding, &question.payload)?;
-            if let Some((_, charts)) = remembered.iter().find(|(sent, _)| *sent == message.id) {
-                return Ok(EventReceipt { charts: *charts, instance: instance.clone() });
+            if let Some((_, receipt)) = remembered.iter().find(|(sent, _)| *sent == message.id) {
+                return Ok(receipt.clone());
             }
             tracing::debug!(event = %message.name, caller = %message.caller, "another agent sends an event");
-            let charts = subscribers.raise(message.chart.as_deref(), &message.name, &message.data)?;
+            let raised = subscribers.raise(message.chart.as_deref(), &message.name, &message.data).await?;
+            let Raised { charts, dropped } = raised;
+            let receipt = EventReceipt { charts, dropped, instance: instance.clone() };
             if charts > 0 {
                 if remembered.len() >= MAX_REMEMBERED {
                     remembered.pop_front();
                 }
-                remembered.push_back((message.id, charts));
+                remembered.push_back((message.id, receipt.clone()));
             }
-            Ok(EventReceipt { charts, instance: instance.clone() })
+            Ok(receipt)
         };
-        respond(&question, &key, receive()).await;
+        let receipt = receive().await;
+        respond(&question, &key, receipt).await;
     }
     Ok(())
 }

@@ -201,6 +201,9 @@ pub struct EventMessage {
 pub struct EventReceipt {
     /// How many charts received it.
     pub charts: u32,
+    /// Why it changed nothing, where none of them took it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dropped: Option<String>,
     /// The process that answers.
     #[serde(default)]
     pub instance: String,
@@ -440,7 +443,7 @@ mod tests {
         assert_eq!((status.revision, &status.events[0].data), (0, &Value::Null));
         let event: EventMessage = read(json!({"letter": "x-1", "name": "e"}));
         assert_eq!((event.id.as_str(), &event.data), ("x-1", &Value::Null));
-        let (_, bytes) = packed(&EventReceipt { charts: 2, instance: "p".into() }).unwrap();
+        let (_, bytes) = packed(&EventReceipt { charts: 2, dropped: None, instance: "p".into() }).unwrap();
         let earlier: EventReceipt = unpacked("application/cbor;runtime/heard;v1", &bytes).unwrap();
         assert_eq!(earlier.charts, 2);
     }

@@ -14,7 +14,7 @@ use armarium_source::{Field, Finding, Findings, Rule, Source, code, form};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
-pub use checks::{StepCheck, WrongStep};
+pub use checks::{Programs, StepCheck, WrongStep};
 pub use play::CaseError;
 pub use stand_in::StandInError;
 
@@ -43,6 +43,8 @@ form! {
         pub profile: Option<String> = None;
         /// How skills end in this case.
         pub skills: BTreeMap<String, Script> = BTreeMap::new();
+        /// Charts inside the chart that are stood in for in this case.
+        pub charts: BTreeMap<String, Script> = BTreeMap::new();
         /// What happens, in this order.
         pub steps: Vec<Step> = Vec::new();
     }

@@ -249,6 +249,23 @@ impl<'t> Reader<'t> {
         if written != key.text {
             return Ok(());
         }
+        if written.contains(['<', '>', '=', '!', '&', '|', '+', '*']) {
+            let open = self.text[..key.span.start].trim_end();
+            let closes = self.text[key.span.end..].find('}').map(|close| key.span.end + close + 1);
+            let quote = if written.contains('"') { '\'' } else { '"' };
+            let quoted = format!("{quote}{written}{quote}");
+            let braces = closes.filter(|close| {
+                open.ends_with('{')
+                    && self.text[key.span.end..close - 1].trim().is_empty()
+                    && !written.contains(quote)
+            });
+            return Err(Box::new(Refusal::Content {
+                at: key.span,
+                message: "an expression stands in quotes, without braces".to_owned(),
+                help: format!("write `{quoted}`"),
+                remedy: braces.map(|end| Remedy::replace(Span { start: open.len() - 1, end }, quoted)),
+            }));
+        }
         let (name, value, missing) = if let Some((name, value)) = written.split_once(':') {
             (name, value, "space is missing after")
         } else if let Some((name, value)) = written.split_once(char::is_whitespace) {

@@ -44,7 +44,10 @@ pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
     let (at, message, help, mut remedy) = match *refusal {
         Refusal::Content { at, message, help, remedy } => (at, message, Some(help), remedy),
         Refusal::Syntax { at } => match slip_near(&source.text, at.start) {
-            Some(slip) => (slip.span, slip.message, Some(slip.help), None),
+            Some(slip) => {
+                let remedy = (!slip.edits.is_empty()).then_some(Remedy::Replace(slip.edits));
+                (slip.span, slip.message, Some(slip.help), remedy)
+            }
             None => {
                 let help = "look at this line and at the one before: a bracket, a quote, a `:` or the space after it \
                     may be missing, or be one too many";
