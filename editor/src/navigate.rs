@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use armarium_runtime::chart::{Library, Reference, Symbol};
 use armarium_source::{Source, Span};
-use lsp_types::{Location, Position, Uri};
+use lsp_types::{Location, Position, Range, Uri};
 
 use crate::text::{Lines, Shift};
 use crate::uri;
@@ -46,7 +46,21 @@ impl Workspace {
         let Some((analysis, _)) = self.readable(&path) else { return Vec::new() };
         let defines = |r: &&Reference| r.definition && symbols.contains(&r.symbol);
         let found: Vec<Reference> = self.references(&analysis).iter().filter(defines).cloned().collect();
-        self.locations(&found)
+        let found = self.locations(&found);
+        if found.is_empty() {
+            symbols.iter().filter_map(|symbol| self.declaration(symbol)).collect()
+        } else {
+            found
+        }
+    }
+
+    /// Where the program declares a skill, if its text is in the workspace.
+    fn declaration(&self, symbol: &Symbol) -> Option<Location> {
+        let (Symbol::Skill { skill } | Symbol::OfSkill { skill, .. }) = symbol else { return None };
+        let (file, line) = self.catalog.registry.manifest(skill)?.declared_at.line()?;
+        let file = self.roots().iter().map(|root| root.join(file)).find(|file| file.is_file())?;
+        let at = Position::new(line.saturating_sub(1), 0);
+        Some(Location::new(uri::of(&file)?, Range::new(at, at)))
     }
 
     /// Everywhere that the name at a place is used, in all files of the workspace.

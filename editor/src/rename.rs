@@ -32,10 +32,12 @@ pub enum RenameError {
         what: &'static str,
     },
     /// The new name is not allowed.
-    #[error("`{name}` is not a name: letters, digits and `_`, no digit first, and no word of the language")]
+    #[error("`{name}` {why}")]
     Invalid {
         /// The new name.
         name: String,
+        /// Why not.
+        why: &'static str,
     },
     /// The new name has a meaning already where the old one is used.
     #[error("`{name}` stands for something else already: {place}")]
@@ -87,8 +89,8 @@ impl Workspace {
         let path = uri::path(uri);
         let (_, symbols) = self.symbols_at(&path, position).ok_or(RenameError::Nothing)?;
         let (symbols, uses) = self.together(&path, symbols.into_iter().collect())?;
-        if !symbols.iter().all(|symbol| fits(symbol, name)) {
-            return Err(RenameError::Invalid { name: name.to_owned() });
+        if let Some(why) = symbols.iter().find_map(|symbol| unfit(symbol, name)) {
+            return Err(RenameError::Invalid { name: name.to_owned(), why });
         }
         let mut edits: Edits = BTreeMap::new();
         for (reference, span) in self.present(&uses) {
@@ -276,19 +278,26 @@ fn ours(symbol: &Symbol) -> Result<(), RenameError> {
     Err(RenameError::NotOurs { name: symbol.name().to_owned(), what })
 }
 
-/// Whether a text can be the name of a thing.
-fn fits(symbol: &Symbol, name: &str) -> bool {
+/// Why a text cannot be the name of a thing.
+fn unfit(symbol: &Symbol, name: &str) -> Option<&'static str> {
+    let word = |part: &str, more: &str| {
+        !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || c == '_' || more.contains(c))
+    };
     match symbol {
-        Symbol::Event { .. } | Symbol::Outcome { .. } => {
-            !matches!(name, "success" | "failure")
-                && name.split('.').all(|part| {
-                    !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-')
-                })
+        Symbol::Event { .. } | Symbol::Outcome { .. } if matches!(name, "success" | "failure") => {
+            Some("is an outcome that the language gives")
         }
-        Symbol::Declared { section: Section::Types, .. } => {
-            is_name(name) && armarium_values::Type::parse(name, &|_| None).is_none()
+        Symbol::Event { .. } | Symbol::Outcome { .. } => (!name.split('.').all(|part| word(part, "-")))
+            .then_some("is not the name of an event: letters, digits, `_` and `-`, in parts joined by dots"),
+        _ if is_name(name) => {
+            let types = matches!(symbol, Symbol::Declared { section: Section::Types, .. });
+            let known = types && armarium_values::Type::parse(name, &|_| None).is_some();
+            known.then_some("is a type that the language gives")
         }
-        _ => is_name(name),
+        _ if word(name, "") && !name.starts_with(|c: char| c.is_ascii_digit()) => {
+            Some("is a word of the language")
+        }
+        _ => Some("is not a name: letters, digits and `_`, no digit first"),
     }
 }
 

@@ -137,9 +137,8 @@ impl Workspace {
     pub fn change(&mut self, uri: &Uri, version: i32, changes: Vec<TextDocumentContentChangeEvent>) {
         let path = uri::path(uri);
         let Some(document) = self.documents.get_mut(&path) else { return };
-        let text = changed(&document.source.text, changes);
-        document.version = version;
-        document.lines = Lines::of(&text);
+        let (text, lines) = changed((&document.source.text, &document.lines), changes);
+        (document.version, document.lines) = (version, lines);
         document.kind = Kind::of(&path, &text).or(document.kind);
         document.source = edited(&path, text, document.readable.as_deref());
         document.analysis = None;
@@ -190,6 +189,10 @@ impl Workspace {
 
     pub(crate) fn documents(&self) -> impl Iterator<Item = (&PathBuf, &Document)> {
         self.documents.iter()
+    }
+
+    pub(crate) fn roots(&self) -> &[PathBuf] {
+        &self.roots
     }
 
     fn overlay(&self) -> Overlay<'_> {

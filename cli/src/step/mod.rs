@@ -32,7 +32,8 @@ pub(crate) struct StepArgs {
     #[arg(long)]
     pub(crate) profile: Option<String>,
     /// Events as JSON lines: `{"name": "t1", "data": .., "after_ms": 100}`; an outcome or watch has `"from": "State"`; a
-    /// channel's value is `{"channel": "hand", "value": ..}`. `-` reads them from standard input.
+    /// channel's value is `{"channel": "hand", "value": ..}`. `-` reads them from standard input, where an event that the chart does
+    /// not take is a warning; in a file it is an error.
     #[arg(long, value_name = "FILE")]
     pub(crate) events: Option<PathBuf>,
     /// Additional folders in which charts find other charts by name.
@@ -60,7 +61,7 @@ enum Stopped {
 }
 
 /// Drives the chart; results go to `out`, errors to `err`. Returns the exit status: 2 when a file, an argument or an
-/// event is invalid, 1 when the run has failed, otherwise 0.
+/// event of a file is invalid, 1 when the run has failed, otherwise 0.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.
@@ -87,7 +88,9 @@ fn drive(
     let mut stepper = stepper.map_err(|e| Stopped::Wrong(e.to_string()))?;
     let registry = catalog::idle_registry();
     let check = StepCheck::new(program, &registry);
-    let mut refused = Refused { err, any: false };
+    // A program that drives a chart through pipes sees what became of each event.
+    let strict = args.events.as_ref().is_some_and(|events| events.as_os_str() != "-");
+    let mut refused = Refused { err, strict, any: false };
     if args.interactive {
         interactive::run(&mut stepper, &check, &mut io::stdin().lock(), out)?;
     } else if args.quiet {
@@ -134,14 +137,18 @@ fn follow(
 /// Events that the chart does not take: each is said, and the list goes on as a run would, which refuses them to their sender.
 struct Refused<'e> {
     err: &'e mut dyn Write,
+    /// Whether they are errors.
+    strict: bool,
+    /// Whether there was an error.
     any: bool,
 }
 
 impl Refused<'_> {
     fn unless<E: std::fmt::Display>(&mut self, line: usize, result: Result<(), E>) -> io::Result<()> {
         let Err(why) = result else { return Ok(()) };
-        self.any = true;
-        writeln!(self.err, "error: line {line} of the events: {why}")
+        self.any |= self.strict;
+        let kind = if self.strict { "error" } else { "warning" };
+        writeln!(self.err, "{kind}: line {line} of the events: {why}")
     }
 }
 

@@ -65,10 +65,11 @@ pub(crate) fn unit_of_time(node: &Node, seconds: f64, findings: &mut Findings) {
 
 /// Refuses a time below 0.
 pub(super) fn negative_time(node: &Node, findings: &mut Findings) {
+    let source = std::sync::Arc::clone(&findings.source);
+    let written = source.text.get(node.span.start..node.span.end).unwrap_or("").trim_end();
     let help = Some("times are 0 or more".to_owned());
-    findings.error_help(code::VALUE, node.span, "a duration is not negative", help);
-    let written = findings.source.text.get(node.span.start..node.span.end).unwrap_or("");
-    if let Some(positive) = written.trim_end().strip_prefix('-').map(str::to_owned) {
+    findings.error_help(code::VALUE, node.span, format!("`{written}`: a duration is not negative"), help);
+    if let Some(positive) = written.strip_prefix('-') {
         findings.remedy(Remedy::replace(node.span, positive));
     }
 }

@@ -218,7 +218,7 @@ impl Reader<'_> {
             events,
             channels,
             profiles,
-            input_defaults: input_defaults(entries),
+            defaults: defaults(entries),
             root,
         })
     }
@@ -463,11 +463,14 @@ fn declared(entries: &Entries) -> Vec<(Section, Named)> {
     [Section::Inputs, Section::Outputs, Section::Locals, Section::Types].into_iter().flat_map(of).collect()
 }
 
-/// Where the defaults of inputs stand.
-fn input_defaults(entries: &Entries) -> Vec<(String, Span)> {
-    let Some(Yaml::Map(inputs)) = get(entries, "inputs").map(|node| &node.value) else { return Vec::new() };
+/// Where the defaults of inputs and locals stand.
+fn defaults(entries: &Entries) -> Vec<(String, Span)> {
     let default = |(name, node): &(Named, Node)| Some((name.text.clone(), node.get("default")?.span));
-    inputs.iter().filter_map(default).collect()
+    let of = |section: &str| match get(entries, section).map(|node| &node.value) {
+        Some(Yaml::Map(declared)) => declared.iter().filter_map(default).collect(),
+        _ => Vec::new(),
+    };
+    ["inputs", "locals"].into_iter().flat_map(of).collect()
 }
 
 /// The types of the chart that a type's text names, as in `list<Mood>`.

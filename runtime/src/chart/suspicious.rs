@@ -25,15 +25,17 @@ pub(super) fn suspicious(program: &Program, tree: &Tree<'_>, library: &Library) 
     search.loose_limits();
     search.restless();
     let mut findings = search.findings;
-    let taken = Taken::of(program);
-    let given = outputs(tree);
+    let reached = reached(program);
+    let taken = Taken::of(program, &reached);
+    let mut uses = uses(tree, &reached);
     for chart in library.charts.values() {
-        findings.extend(written(chart, &taken, given.get(chart.name.as_str())));
+        let used = uses.remove(chart.name.as_str()).unwrap_or_default();
+        findings.extend(written(chart, &taken, &used));
     }
     findings
 }
 
-/// The events that transitions take.
+/// The events that transitions of states take that can be reached.
 #[derive(Default)]
 struct Taken<'p> {
     exact: BTreeSet<&'p str>,
@@ -41,9 +43,9 @@ struct Taken<'p> {
 }
 
 impl<'p> Taken<'p> {
-    fn of(program: &'p Program) -> Self {
+    fn of(program: &'p Program, reached: &[bool]) -> Self {
         let mut taken = Self::default();
-        for transition in &program.transitions {
+        for transition in program.transitions.iter().filter(|t| reached[t.source as usize]) {
             match &transition.pattern {
                 Pattern::None => {}
                 Pattern::Exact(name) => {
@@ -61,16 +63,26 @@ impl<'p> Taken<'p> {
     }
 }
 
-/// What states give, by the chart that they are written in: `State.output`.
-fn outputs<'t>(tree: &'t Tree<'_>) -> BTreeMap<&'t str, BTreeSet<String>> {
-    let mut given: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+/// What is known of the states of a chart, wherever it is used.
+#[derive(Default)]
+struct Used {
+    /// What they give: `State.output`.
+    given: BTreeSet<String>,
+    /// Where the names of those stand that can be reached.
+    reached: BTreeSet<usize>,
+}
+
+/// The uses of charts, by their names.
+fn uses<'t>(tree: &'t Tree<'_>, reached: &[bool]) -> BTreeMap<&'t str, Used> {
+    let mut uses: BTreeMap<&str, Used> = BTreeMap::new();
     for (id, flat) in (0..).zip(&tree.states).skip(1) {
-        let names = flat.outputs.iter().map(|(output, ..)| format!("{}.{output}", flat.name()));
-        if !flat.outputs.is_empty() {
-            given.entry(tree.chart_of(id)).or_default().extend(names);
+        let used = uses.entry(tree.chart_of(id)).or_default();
+        used.given.extend(flat.outputs.iter().map(|(output, ..)| format!("{}.{output}", flat.name())));
+        if reached[id as usize] {
+            used.reached.insert(flat.model.name.span.start);
         }
     }
-    given
+    uses
 }
 
 struct Search<'a, 'l> {
@@ -279,9 +291,9 @@ impl Search<'_, '_> {
 }
 
 /// What is suspicious in a chart as it is written.
-fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, given: Option<&'p BTreeSet<String>>) -> Vec<Finding> {
+fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, used: &'p Used) -> Vec<Finding> {
     let findings = Findings::new(Arc::clone(&chart.source));
-    let mut found = Written { findings, chart, assigned: BTreeSet::new(), taken, given };
+    let mut found = Written { findings, chart, assigned: BTreeSet::new(), lost: false, taken, used };
     found.state(&chart.root);
     found.defaults();
     for time in chart.inputs.iter().chain(&chart.locals).filter(|declared| declared.ty == Type::Duration) {
@@ -298,7 +310,10 @@ fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, given: Option<&'p BTreeSe
             let message = format!("nothing sets the output `{}`", output.name);
             let help = format!("set it with `assign: {{outputs.{}: ...}}`, or remove it", output.name);
             found.findings.add(Severity::Warning, code::UNSET, at, message, Some(help));
-            found.findings.remedy(Remedy::Remove(at));
+            // Where nothing reads it, and no state sets it that cannot be reached.
+            if !chart.source.text.contains(&format!("outputs.{}", output.name)) {
+                found.findings.remedy(Remedy::Remove(at));
+            }
         }
     }
     found.findings.list
@@ -315,13 +330,15 @@ struct Written<'p> {
     chart: &'p Chart,
     /// Outputs that some action sets.
     assigned: BTreeSet<String>,
+    /// Whether what is read stands in a state that cannot be reached.
+    lost: bool,
     taken: &'p Taken<'p>,
-    /// What states of the chart give.
-    given: Option<&'p BTreeSet<String>>,
+    used: &'p Used,
 }
 
 impl Written<'_> {
     fn state(&mut self, state: &model::State) {
+        let lost = std::mem::replace(&mut self.lost, !self.used.reached.contains(&state.name.span.start));
         self.values(&state.with);
         self.actions(&state.enter);
         self.actions(&state.exit);
@@ -335,13 +352,14 @@ impl Written<'_> {
             self.actions(&entry.actions);
         }
         state.kind.children().iter().for_each(|child| self.state(child));
+        self.lost = lost;
     }
 
     fn actions(&mut self, actions: &[Action]) {
         for action in actions {
             match &action.kind {
                 ActionKind::Assign(entries) => {
-                    for (name, _) in entries {
+                    for (name, _) in entries.iter().filter(|_| !self.lost) {
                         let output = name.text.strip_prefix("outputs.").unwrap_or(&name.text);
                         self.assigned.insert(output.split('.').next().unwrap_or(output).to_owned());
                     }
@@ -427,7 +445,7 @@ impl Written<'_> {
 
     /// Whether a name is what a state of the chart gives.
     fn gives(&self, name: &str) -> bool {
-        self.given.is_some_and(|given| given.contains(name))
+        self.used.given.contains(name)
     }
 
     /// Defaults are literals: what looks like an expression there stays a text.

@@ -134,6 +134,7 @@ mod tests {
     use crate::chart::testing::program;
     use crate::exec::{ExecOptions, Executor, Peers, RunResult};
     use crate::remote::tests::pair;
+    use crate::trace::TraceEvent;
 
     /// An agent named `name` that runs charts.
     fn agent(session: &Session, name: &'static str) -> Peers {
@@ -198,6 +199,45 @@ states:
         assert_eq!(result.await.outcome, "success");
         let heard = listening.await.unwrap().outputs["heard"].clone();
         assert_eq!(heard, Value::List((1..=5).map(Value::Int).collect()));
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_no_state_takes_now_is_said_to_the_sender() {
+        let (one, two) = pair().await;
+        let (alice, bob) = (agent(&one, "alice"), agent(&two, "bob"));
+        let chart = "
+statechart: Bob
+events: {first: {}, then: {}}
+initial: A
+states:
+  A: {transitions: {first: B}}
+  B: {transitions: {then: Done}}
+  Done: {final: success}
+";
+        let options = ExecOptions {
+            peers: bob.clone(),
+            sink: Some(Box::new(|_: &TraceEvent| {})),
+            ..ExecOptions::default()
+        };
+        let running = Executor::new(program(chart), Registry::new(), Channels::new(), options).unwrap().run();
+        let listening = tokio::spawn(running);
+        let transport = alice.transport.unwrap();
+        let send = |event: &str| {
+            let (to, event) = ("bob".to_owned(), event.to_owned());
+            transport.deliver(RemoteEvent { to, event, data: Value::Null })
+        };
+        // Until the chart runs.
+        let said = loop {
+            match send("then").await {
+                Err(error @ DeliveryError::Dropped { .. }) => break error.to_string(),
+                Err(_) => tokio::task::yield_now().await,
+                Ok(()) => panic!("no state takes it"),
+            }
+        };
+        assert!(said.starts_with("`bob` has it, but no active state takes it"), "{said}");
+        send("first").await.unwrap();
+        send("then").await.unwrap();
+        assert_eq!(listening.await.unwrap().outcome, "success");
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

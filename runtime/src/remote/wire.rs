@@ -12,7 +12,7 @@ use armarium_bus::{Payload, Reply, Schema, codec};
 use armarium_values::{Type, Value};
 use serde::{Deserialize, Serialize};
 
-use crate::skill::{Failure, Limits, Outcome, Parameter, SkillManifest, SkillResult};
+use crate::skill::{DeclaredAt, Failure, Limits, Outcome, Parameter, SkillManifest, SkillResult};
 
 /// What an agent offers under one name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -329,6 +329,7 @@ impl Manifest {
     pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
         let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
         let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MAX_GRACE) + beyond);
+        skill.declared_at = DeclaredAt::default();
         skill.inputs = self.inputs.iter().map(Parameter::from).collect();
         skill.outputs = self.outputs.iter().map(Parameter::from).collect();
         skill.outcomes.clone_from(&self.outcomes);

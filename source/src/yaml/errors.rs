@@ -209,12 +209,13 @@ fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
                     return Some(if whole { slip.completed(insertions) } else { slip });
                 }
                 '-' if entry.begins && next.is_whitespace() && around.is_empty() => {}
-                '@' | '`' | '%' if entry.begins && at >= from => {
+                '@' | '`' | '%' | '!' if entry.begins && entry.colon.is_some() && at >= from => {
                     let value = text[at..end].split([',', '}', ']']).next().unwrap_or("").trim_end();
                     let message = format!("a text that begins with `{c}` needs quotes");
-                    let written = format!("\"{value}\"");
+                    let quote = if value.contains('"') { '\'' } else { '"' };
+                    let written = format!("{quote}{value}{quote}");
                     let slip = slip(at, value.len(), message, format!("write `{written}`"))?;
-                    return Some(if value.contains('"') { slip } else { slip.rewritten(written) });
+                    return Some(if value.contains(quote) { slip } else { slip.rewritten(written) });
                 }
                 _ => entry.begins = false,
             }
@@ -275,10 +276,10 @@ fn unclosed(text: &str, at: usize) -> Option<Slip> {
     let line_end = |start: usize| start + text[start..].lines().next().unwrap_or("").trim_end().len();
     if let Some((start, c)) = quote {
         let slip = slip(start, 1, "this quote is not closed", format!("add the second `{c}`"))?;
-        // The brackets around it close after it.
-        let line = &text[start..line_end(start)];
-        let at =
-            start + if open.is_empty() { line.len() } else { line.trim_end_matches(['}', ']', ' ']).len() };
+        // Between brackets, where the next entry begins or they close.
+        let end = line_end(start);
+        let next = text[start + 1..end].find([',', '}', ']']).filter(|_| !open.is_empty());
+        let at = next.map_or(end, |next| start + 1 + next);
         return Some(slip.completed([(at, c.to_string())]));
     }
     let (start, c) = *open.last()?;
