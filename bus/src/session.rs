@@ -5,6 +5,7 @@
 //!
 //! A session needs a multi-threaded tokio runtime, and waits in real time.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -346,6 +347,29 @@ impl Session {
         Box::pin(async move {
             get.await.map_err(failed)?;
             Ok(alive.next().await.is_some())
+        })
+    }
+
+    /// The keys of the services that run now, as far as the linked sessions answer within `timeout`.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub fn all_alive(&self, keys: &KeyPattern, timeout: Duration) -> Boxed<'_, BTreeSet<String>> {
+        let (sender, mut alive) = queue(1024);
+        let get = self.zenoh().liveliness().get(keys.as_str().to_owned()).timeout(timeout);
+        let get = get.callback(move |reply: zenoh::query::Reply| {
+            if let Ok(sample) = reply.result() {
+                let key = sample.key_expr().to_string();
+                sender.send(key.len(), key);
+            }
+        });
+        Box::pin(async move {
+            get.await.map_err(failed)?;
+            let mut keys = BTreeSet::new();
+            while let Some(key) = alive.next().await {
+                keys.insert(key);
+            }
+            Ok(keys)
         })
     }
 

@@ -6,10 +6,10 @@ use std::path::PathBuf;
 use armarium_host::catalog;
 use armarium_runtime::chart::{self, ChannelDescription, Registry};
 use armarium_runtime::skill::{Parameter, SkillManifest};
-use armarium_values::{Type, Unit};
-use serde_json::json;
+use serde_json::{Value as Json, json};
 
 use crate::charts::{Charts, missing, within_reach};
+use crate::type_json::type_json;
 
 /// Arguments of `channels`.
 #[derive(Clone, Debug, clap::Args)]
@@ -120,31 +120,22 @@ fn describe(listed: &Listed, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out)
 }
 
-fn as_json(listed: &Listed) -> serde_json::Value {
+fn as_json(listed: &Listed) -> Json {
     let channel = &listed.channel;
     let field = |field: &Parameter| {
-        let unit = unit_of(&field.ty).map(|unit| unit.to_string());
-        json!({"name": field.name, "type": field.ty.to_string(), "unit": unit, "description": field.description})
+        let mut json = type_json(&field.ty);
+        (json["name"], json["description"]) = (json!(field.name), json!(field.description));
+        json
     };
-    json!({
-        "name": channel.name,
-        "description": channel.description,
-        "rate": channel.rate,
-        "type": channel.ty.to_string(),
-        "unit": unit_of(&channel.ty).map(|unit| unit.to_string()),
-        "fields": channel.fields.iter().map(field).collect::<Vec<_>>(),
-        "declared_by": listed.declared_by,
-        "published_by": listed.published_by,
-        "read_by": listed.read_by,
-    })
-}
-
-/// The unit of a number, or of the numbers in a list.
-fn unit_of(ty: &Type) -> Option<Unit> {
-    match ty {
-        Type::Float(unit) => *unit,
-        Type::List(element) | Type::Map(element) => unit_of(element),
-        Type::Duration => Some(Unit::S),
-        _ => None,
-    }
+    let mut json = match channel.fields.as_slice() {
+        [] => type_json(&channel.ty),
+        fields => json!({"type": "record", "fields": fields.iter().map(field).collect::<Vec<_>>()}),
+    };
+    json["name"] = json!(channel.name);
+    json["description"] = json!(channel.description);
+    json["rate"] = json!(channel.rate);
+    json["declared_by"] = json!(listed.declared_by);
+    json["published_by"] = json!(listed.published_by);
+    json["read_by"] = json!(listed.read_by);
+    json
 }

@@ -31,6 +31,7 @@ mod step;
 mod stopped;
 mod sweep;
 mod test_cases;
+mod type_json;
 mod vision;
 mod warnings;
 mod world;

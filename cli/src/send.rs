@@ -1,4 +1,4 @@
-//! `armarium send EVENT --to AGENT`: sends an event to the charts that run at another agent.
+//! `armarium send EVENT [--to AGENT]`: sends an event to the charts that run at another agent.
 
 use std::io::{self, Write};
 
@@ -22,9 +22,10 @@ pub(crate) struct SendArgs {
     /// What comes with it, as JSON.
     #[arg(long, value_name = "JSON", value_parser = read_data)]
     pub(crate) data: Option<serde_json::Value>,
-    /// The agent, or one of its charts: the name that `run --name` or `agent --name` gave it.
+    /// The agent, or one of its charts: the name that `run --name` or `agent --name` gave it. It can be left out where one agent
+    /// runs.
     #[arg(long, value_name = "AGENT[/CHART]")]
-    pub(crate) to: String,
+    pub(crate) to: Option<String>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
 }
@@ -41,7 +42,8 @@ fn read_data(text: &str) -> Result<serde_json::Value, String> {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &SendArgs, out: &mut dyn Write) -> io::Result<u8> {
     if !args.connection.is_given() {
-        writeln!(out, "error: say where `{}` listens: --connect tcp/HOST:PORT (its run prints it)", args.to)?;
+        let whom = args.to.as_ref().map_or_else(|| "the agent".to_owned(), |to| format!("`{to}`"));
+        writeln!(out, "error: say where {whom} listens: --connect tcp/HOST:PORT (its run prints it)")?;
         return Ok(2);
     }
     let config = match args.connection.config() {
@@ -52,10 +54,28 @@ pub(crate) fn run(args: &SendArgs, out: &mut dyn Write) -> io::Result<u8> {
         Ok(connection) => connection,
         Err(error) => return refuse(&error, out),
     };
+    let agents = connection.agents("armarium send");
+    let to = match &args.to {
+        Some(to) => to.clone(),
+        None => match connection.runtime().block_on(agents.running()) {
+            Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
+            Ok(running) => match running.into_iter().collect::<Vec<_>>().as_slice() {
+                [one] => one.clone(),
+                [] => {
+                    return writeln!(out, "`{}` was not taken: no agent runs there", args.event).map(|()| 1);
+                }
+                several => {
+                    let names = several.join(", ");
+                    writeln!(out, "error: several agents run there: {names}; say which is meant with --to")?;
+                    return Ok(2);
+                }
+            },
+        },
+    };
     let data = args.data.as_ref().map_or(Value::Null, Value::from_json);
-    let event = RemoteEvent { to: args.to.clone(), event: args.event.clone(), data };
-    match connection.runtime().block_on(connection.agents("armarium send").deliver(event)) {
-        Ok(()) => writeln!(out, "`{}` has `{}`", args.to, args.event).map(|()| 0),
+    let event = RemoteEvent { to: to.clone(), event: args.event.clone(), data };
+    match connection.runtime().block_on(agents.deliver(event)) {
+        Ok(()) => writeln!(out, "`{to}` has `{}`", args.event).map(|()| 0),
         Err(error) => writeln!(out, "`{}` was not taken: {error}", args.event).map(|()| 1),
     }
 }

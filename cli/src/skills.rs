@@ -11,6 +11,7 @@ use serde_json::{Value as Json, json};
 
 use crate::charts::{missing, within_reach};
 use crate::console::refuse;
+use crate::type_json::type_json;
 
 /// Arguments of `skills`.
 #[derive(Clone, Debug, clap::Args)]
@@ -72,15 +73,13 @@ pub(crate) fn run(args: &SkillsArgs, out: &mut dyn Write) -> io::Result<u8> {
 
 fn as_json(Listed { manifest, chart }: &Listed<'_>) -> Json {
     let parameter = |parameter: &Parameter| {
-        json!({
-            "name": parameter.name,
-            "type": parameter.ty.to_string(),
-            "description": parameter.description,
-            "default": parameter.default.as_ref().map(Value::to_json),
-            "minimum": parameter.minimum,
-            "maximum": parameter.maximum,
-            "names": parameter.names,
-        })
+        let mut json = type_json(&parameter.ty);
+        json["name"] = json!(parameter.name);
+        json["description"] = json!(parameter.description);
+        json["default"] = json!(parameter.default.as_ref().map(Value::to_json));
+        (json["minimum"], json["maximum"]) = (json!(parameter.minimum), json!(parameter.maximum));
+        json["names"] = json!(parameter.names);
+        json
     };
     let outcomes = ["success", "failure"].into_iter().chain(manifest.outcomes.iter().map(String::as_str));
     let mut json = json!({

@@ -11,7 +11,7 @@ use armarium_host::catalog;
 use armarium_runtime::chart::Registry;
 use armarium_runtime::program::Program;
 use armarium_runtime::stepping::{Coverage, Described};
-use armarium_runtime::test_cases::TestFile;
+use armarium_runtime::test_cases::{Programs, TestFile};
 use armarium_source::{Disk, Finding, Source};
 
 use crate::console;
@@ -34,9 +34,6 @@ pub(crate) struct TestArgs {
     pub(crate) junit: Option<PathBuf>,
 }
 
-/// A chart, and the charts inside it that are stood in for.
-type Key = (PathBuf, Vec<String>);
-
 /// A chart that was tested: its program and what the cases of all files took of it.
 struct Tested {
     program: Arc<Program>,
@@ -50,7 +47,7 @@ struct Tested {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     let registry = catalog::idle_registry();
-    let mut tested: BTreeMap<Key, Tested> = BTreeMap::new();
+    let mut tested: BTreeMap<PathBuf, Tested> = BTreeMap::new();
     let mut suites = Vec::new();
     for file in &args.files {
         suites.push(suite(file, args, &registry, &mut tested, out)?);
@@ -60,7 +57,7 @@ pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     let failed = count(|verdict| matches!(verdict, Verdict::Failed(_)));
     let wrong = count(|verdict| matches!(verdict, Verdict::Error(_))) > 0;
     let mut incomplete = false;
-    for ((chart, _), tested) in &tested {
+    for (chart, tested) in &tested {
         let untaken = table(chart, tested, out)?;
         incomplete |= !untaken.is_empty();
         if args.complete {
@@ -82,16 +79,16 @@ fn suite(
     file: &Path,
     args: &TestArgs,
     registry: &Registry,
-    tested: &mut BTreeMap<Key, Tested>,
+    tested: &mut BTreeMap<PathBuf, Tested>,
     out: &mut dyn Write,
 ) -> io::Result<Suite> {
     let mut suite = Suite { file: file.display().to_string(), cases: Vec::new() };
-    let (cases, of) = match load(file, args, registry, tested) {
-        Ok((cases, of, warnings)) => {
+    let (cases, programs) = match load(file, args, registry) {
+        Ok((cases, programs, warnings)) => {
             if !warnings.is_empty() {
                 console::show(&warnings, out)?;
             }
-            (cases, of)
+            (cases, programs)
         }
         Err(findings) => {
             console::show(&findings, out)?;
@@ -101,8 +98,12 @@ fn suite(
             return Ok(suite);
         }
     };
-    for case in &cases.cases {
-        let (took, (coverage, result)) = timed(|| cases.play(case, &of.program));
+    let chart = file.parent().unwrap_or(Path::new("")).join(&cases.test);
+    let of = tested
+        .entry(chart)
+        .or_insert_with(|| Tested { program: Arc::clone(&programs.all), coverage: Coverage::default() });
+    for (case, program) in cases.cases.iter().zip(&programs.cases) {
+        let (took, (coverage, result)) = timed(|| cases.play(case, program));
         of.coverage.extend(coverage);
         let verdict = match result {
             Ok(()) => {
@@ -126,24 +127,17 @@ fn timed<T>(work: impl FnOnce() -> T) -> (Duration, T) {
     (began.elapsed(), result)
 }
 
-/// The cases of a file, the chart that it tests, and warnings; or everything that is wrong with them.
-fn load<'t>(
+/// The cases of a file, the programs of the chart that it tests, and warnings; or everything that is wrong with them.
+fn load(
     file: &Path,
     args: &TestArgs,
     registry: &Registry,
-    tested: &'t mut BTreeMap<Key, Tested>,
-) -> Result<(TestFile, &'t mut Tested, Vec<Finding>), Vec<Finding>> {
+) -> Result<(TestFile, Programs, Vec<Finding>), Vec<Finding>> {
     let source = Source::read(file).map_err(|finding| vec![*finding])?;
     let cases = TestFile::read(Arc::clone(&source))?;
-    let chart = file.parent().unwrap_or(Path::new("")).join(&cases.test);
-    let key = (chart, cases.charts.keys().cloned().collect::<Vec<_>>());
-    if !tested.contains_key(&key) {
-        let program = cases.program(&source, &args.charts, &Disk, registry, &catalog::channels())?;
-        tested.insert(key.clone(), Tested { program, coverage: Coverage::default() });
-    }
-    let of = tested.get_mut(&key).expect("it was inserted above");
-    let findings = TestFile::check(source, &of.program, registry);
-    if findings.iter().any(Finding::is_error) { Err(findings) } else { Ok((cases, of, findings)) }
+    let programs = cases.programs(&source, &args.charts, &Disk, registry, &catalog::channels())?;
+    let findings = TestFile::check(source, &programs, registry);
+    if findings.iter().any(Finding::is_error) { Err(findings) } else { Ok((cases, programs, findings)) }
 }
 
 /// Whether the cases take every transition, as a result of its own.

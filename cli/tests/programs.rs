@@ -71,6 +71,28 @@ fn a_skill_s_outcome_comes_from_its_state() {
 }
 
 #[test]
+fn events_of_a_file_that_the_chart_does_not_take_are_errors_and_a_failed_run_has_status_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let chart = "statechart: C\nevents: {go: {}}\ninitial: A\nstates:\n  A: {transitions: {go: B}}\n  B: {skill: OpenHand, transitions: {success: Done, failure: Failed}}\n  Done: {final: success}\n  Failed: {final: failure}\n";
+    std::fs::write(folder.path().join("c.yaml"), chart).unwrap();
+    let stepped = |events: &str| {
+        std::fs::write(folder.path().join("e.jsonl"), events).unwrap();
+        let output = armarium(folder.path(), &["step", "c.yaml", "--events", "e.jsonl"], "");
+        (output.status.code(), text(&output.stderr))
+    };
+    let go = "{\"name\": \"go\"}\n";
+    assert_eq!(stepped(go), (Some(0), String::new()));
+    let (status, said) = stepped(&format!("{go}{{\"name\": \"goo\"}}\n"));
+    assert!(
+        status == Some(2) && said.starts_with("error: line 2 of the events: the chart takes no"),
+        "{said}"
+    );
+    let (status, said) = stepped("{\"name\": \"success\", \"from\": \"B\"}\n");
+    assert!(status == Some(2) && said.contains("`B` has no skill that runs"), "{said}");
+    assert_eq!(stepped(&format!("{go}{{\"name\": \"failure\", \"from\": \"B\"}}\n")).0, Some(1));
+}
+
+#[test]
 fn what_is_wrong_ends_with_status_2_and_is_json_where_that_is_asked() {
     let folder = tempfile::tempdir().unwrap();
     let chart = "statechart: C\ninitial: A\nstates: {A: {transitions: {go: B}}}\n";

@@ -53,7 +53,7 @@ fn settled(text: &str, change: fn(&str) -> String) -> String {
     text
 }
 
-fn tree(path: &Path, text: &str) -> Result<Option<Node>, Vec<Finding>> {
+fn tree(path: &Path, text: &str) -> Result<Option<Arc<Node>>, Vec<Finding>> {
     if text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#')) {
         return Ok(None);
     }

@@ -155,6 +155,21 @@ impl Workspace {
                     let rate = if of.rate.is_empty() { String::new() } else { format!(" ({})", of.rate) };
                     text += &format!("\n\n{said}{rate}");
                     text += &if fields.is_empty() { list("fields", &of.fields) } else { String::new() };
+                    let using = |uses: fn(&SkillManifest) -> &Vec<String>| {
+                        registry
+                            .manifests()
+                            .filter(move |m| uses(m).contains(channel))
+                            .map(|m| m.name.clone())
+                    };
+                    let published = of.publishers.iter().cloned().chain(using(|m| &m.publishes));
+                    let read = of.readers.iter().cloned().chain(using(|m| &m.reads));
+                    for (title, names) in
+                        [("published by", published.collect::<Vec<_>>()), ("read by", read.collect())]
+                    {
+                        if !names.is_empty() {
+                            text += &format!("\n\n{title}: {}", names.join(", "));
+                        }
+                    }
                 }
                 text
             }
@@ -183,12 +198,19 @@ pub(crate) fn skill(manifest: &SkillManifest) -> String {
     text += &list("takes", &manifest.inputs);
     text += &list("gives", &manifest.outputs);
     let commands = manifest.commands();
-    for (title, names) in
-        [("outcomes", &manifest.outcomes), ("events", &manifest.events), ("commands", &commands)]
-    {
+    for (title, names) in [
+        ("outcomes", &manifest.outcomes),
+        ("events", &manifest.events),
+        ("reads", &manifest.reads),
+        ("publishes", &manifest.publishes),
+        ("commands", &commands),
+    ] {
         if !names.is_empty() {
             text += &format!("\n\n{title}: {}", names.join(", "));
         }
+    }
+    if let Some((file, line)) = manifest.declared_at.line() {
+        text += &format!("\n\ndeclared at {}:{line}", file.display());
     }
     text
 }

@@ -151,7 +151,7 @@ fn check_test(
 ) -> Result<(), Vec<Finding>> {
     let Catalog { registry, channels } = catalog;
     let cases = TestFile::read(Arc::clone(&source))?;
-    let program = cases.program(&source, folders, files, registry, channels)?;
-    let findings = TestFile::check(source, &program, registry);
+    let programs = cases.programs(&source, folders, files, registry, channels)?;
+    let findings = TestFile::check(source, &programs, registry);
     if findings.is_empty() { Ok(()) } else { Err(findings) }
 }

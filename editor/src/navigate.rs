@@ -3,11 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::Arc;
 
 use armarium_runtime::chart::{Library, Reference, Symbol};
-use armarium_source::Span;
-use lsp_types::{Location, Position, Uri};
+use armarium_source::{Source, Span};
+use lsp_types::{Location, Position, Range, Uri};
 
+use crate::text::{Lines, Shift};
 use crate::uri;
 use crate::workspace::{Analysis, Workspace};
 
@@ -44,7 +46,21 @@ impl Workspace {
         let Some((analysis, _)) = self.readable(&path) else { return Vec::new() };
         let defines = |r: &&Reference| r.definition && symbols.contains(&r.symbol);
         let found: Vec<Reference> = self.references(&analysis).iter().filter(defines).cloned().collect();
-        self.locations(&found)
+        let found = self.locations(&found);
+        if found.is_empty() {
+            symbols.iter().filter_map(|symbol| self.declaration(symbol)).collect()
+        } else {
+            found
+        }
+    }
+
+    /// Where the program declares a skill, if its text is in the workspace.
+    fn declaration(&self, symbol: &Symbol) -> Option<Location> {
+        let (Symbol::Skill { skill } | Symbol::OfSkill { skill, .. }) = symbol else { return None };
+        let (file, line) = self.catalog.registry.manifest(skill)?.declared_at.line()?;
+        let file = self.roots().iter().map(|root| root.join(file)).find(|file| file.is_file())?;
+        let at = Position::new(line.saturating_sub(1), 0);
+        Some(Location::new(uri::of(&file)?, Range::new(at, at)))
     }
 
     /// Everywhere that the name at a place is used, in all files of the workspace.
@@ -76,9 +92,10 @@ impl Workspace {
             found.extend(names.references.iter().filter(same).cloned());
         }
         found.sort_by(|a, b| {
-            (&a.source.path, a.span.start, b.definition).cmp(&(&b.source.path, b.span.start, a.definition))
+            let by_place = || (a.span.start, b.definition).cmp(&(b.span.start, a.definition));
+            a.source.by_path(&b.source).then_with(by_place)
         });
-        found.dedup_by(|a, b| a.source.path == b.source.path && a.span == b.span);
+        found.dedup_by(|a, b| a.span == b.span && a.source.by_path(&b.source).is_eq());
         found
     }
 
@@ -103,32 +120,45 @@ impl Workspace {
     }
 
     fn locations(&self, references: &[Reference]) -> Vec<Location> {
-        let mut found: Vec<Location> = Vec::new();
-        for reference in references {
-            let place = self.present(reference).and_then(|span| self.location_now(reference, span));
-            if let Some(location) = place.filter(|location| !found.contains(location)) {
-                found.push(location);
+        let mut found = Vec::new();
+        let mut seen = BTreeSet::new();
+        let mut on_disk: Option<(&Path, Lines)> = None;
+        for (reference, span) in self.present(references) {
+            let (path, Some(span)) = (reference.source.path.as_path(), span) else { continue };
+            if !seen.insert((path, span.start, span.end)) {
+                continue;
+            }
+            if let Some(document) = self.document(path) {
+                let range = document.lines.range(&document.source.text, span);
+                found.push(Location::new(document.uri.clone(), range));
+            } else if let Some(uri) = uri::of(path) {
+                let text = &reference.source.text;
+                let (_, lines) = match on_disk.take() {
+                    Some(last) if last.0 == path => on_disk.insert(last),
+                    _ => on_disk.insert((path, Lines::of(text))),
+                };
+                found.push(Location::new(uri, lines.range(text, span)));
             }
         }
         found
     }
 
-    /// The place of a reference in the present text of its file.
-    pub(crate) fn present(&self, reference: &Reference) -> Option<Span> {
-        match self.document(&reference.source.path) {
-            Some(document) if document.source.text != reference.source.text => {
-                crate::text::Shift::between(&reference.source.text, &document.source.text)
-                    .span(reference.span)
-            }
-            _ => Some(reference.span),
-        }
-    }
-
-    fn location_now(&self, reference: &Reference, span: Span) -> Option<Location> {
-        match self.document(&reference.source.path) {
-            Some(document) => self.location(&document.source, span),
-            None => self.location(&reference.source, span),
-        }
+    /// Where references are in the present texts of their files: none where that was changed.
+    pub(crate) fn present<'r>(&self, references: &'r [Reference]) -> Vec<(&'r Reference, Option<Span>)> {
+        // Texts are compared once for all references to one.
+        let mut last: Option<(&Arc<Source>, Option<Shift>)> = None;
+        let mut place = |reference: &'r Reference| {
+            let shift = match last {
+                Some((source, shift)) if Arc::ptr_eq(source, &reference.source) => shift,
+                _ => self.document(&reference.source.path).and_then(|document| {
+                    let (then, now) = (&reference.source.text, &document.source.text);
+                    (then != now).then(|| Shift::between(then, now))
+                }),
+            };
+            last = Some((&reference.source, shift));
+            (reference, shift.map_or(Some(reference.span), |shift| shift.span(reference.span)))
+        };
+        references.iter().map(&mut place).collect()
     }
 }
 

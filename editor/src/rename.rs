@@ -1,11 +1,12 @@
 //! Renaming with all references. It is refused where the name is not ours, cannot be, or would come to stand for something
 //! else: the files are read again with the new name, and every other name must still stand for what it did.
 
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use armarium_runtime::chart::{Reference, Section, SkillPart, Symbol, is_name};
-use armarium_source::{Edit, applied};
+use armarium_source::{Edit, Source, applied};
 use lsp_types::{
     DocumentChanges, OneOf, OptionalVersionedTextDocumentIdentifier, Position, Range, TextDocumentEdit,
     TextEdit, Uri, WorkspaceEdit,
@@ -31,10 +32,12 @@ pub enum RenameError {
         what: &'static str,
     },
     /// The new name is not allowed.
-    #[error("`{name}` is not a name: letters, digits and `_`, no digit first, and no word of the language")]
+    #[error("`{name}` {why}")]
     Invalid {
         /// The new name.
         name: String,
+        /// Why not.
+        why: &'static str,
     },
     /// The new name has a meaning already where the old one is used.
     #[error("`{name}` stands for something else already: {place}")]
@@ -86,11 +89,11 @@ impl Workspace {
         let path = uri::path(uri);
         let (_, symbols) = self.symbols_at(&path, position).ok_or(RenameError::Nothing)?;
         let (symbols, uses) = self.together(&path, symbols.into_iter().collect())?;
-        if !symbols.iter().all(|symbol| fits(symbol, name)) {
-            return Err(RenameError::Invalid { name: name.to_owned() });
+        if let Some(why) = symbols.iter().find_map(|symbol| unfit(symbol, name)) {
+            return Err(RenameError::Invalid { name: name.to_owned(), why });
         }
         let mut edits: Edits = BTreeMap::new();
-        for reference in &uses {
+        for (reference, span) in self.present(&uses) {
             let place = || reference.source.place(reference.span.start);
             if !reference.exact {
                 // Test cases name a chart by its file, which keeps its name.
@@ -99,7 +102,7 @@ impl Workspace {
                 }
                 return Err(RenameError::Unclear { place: place() });
             }
-            if self.present(reference) != Some(reference.span) {
+            if span != Some(reference.span) {
                 return Err(RenameError::Unreadable { place: place() });
             }
             let edit = Edit { span: reference.span, text: name.to_owned() };
@@ -158,17 +161,20 @@ impl Workspace {
             // Paths begin at the chart that is read: what is renamed has another one where it is used.
             let named: BTreeSet<&Symbol> = uses.iter().map(|r| &r.symbol).collect();
             let here: BTreeSet<&Symbol> = symbols.iter().filter(|symbol| named.contains(symbol)).collect();
-            let expected: BTreeSet<(PathBuf, usize, Symbol)> = uses
+            let expected = uses.iter().map(|r| {
+                let at = moved(edits, &r.source.path, r.span.start);
+                (&*r.source, at, renamed(&r.symbol, &here, name))
+            });
+            let found = again.iter().map(|r| (&*r.source, r.span.start, r.symbol.clone()));
+            let (expected, found) = (ordered(expected), ordered(found));
+            let differs = |(a, b): &(&Place<'_>, &Place<'_>)| order(a, b).is_ne();
+            let other = expected
                 .iter()
-                .map(|r| {
-                    let at = moved(edits, &r.source.path, r.span.start);
-                    (r.source.path.clone(), at, renamed(&r.symbol, &here, name))
-                })
-                .collect();
-            let found: BTreeSet<(PathBuf, usize, Symbol)> =
-                again.iter().map(|r| (r.source.path.clone(), r.span.start, r.symbol.clone())).collect();
-            let other = expected.symmetric_difference(&found).next();
-            let source = |path: &Path| again.iter().find(|r| r.source.path == path).map(|r| r.source.clone());
+                .zip(&found)
+                .find(differs)
+                .map(|(expected, found)| if order(expected, found).is_lt() { expected } else { found })
+                .or_else(|| expected.get(found.len()))
+                .or_else(|| found.get(expected.len()));
             // The other thing of that name: in this file and of the same kind if there is one.
             let others = || uses.iter().filter(|r| r.definition && r.symbol.name() == name);
             let kinds: Vec<_> = symbols.iter().map(std::mem::discriminant).collect();
@@ -179,10 +185,9 @@ impl Workspace {
                 name: name.to_owned(),
                 place: declared.clone().unwrap_or(place),
             };
-            if let Some((path, at, _)) = other {
-                let place =
-                    source(path).map_or_else(|| path.display().to_string(), |source| source.place(*at));
-                return Err(taken(place));
+            if let Some((source, at, _)) = other {
+                let renamed = again.iter().find(|r| r.source.path == source.path);
+                return Err(taken(renamed.map_or(*source, |r| &*r.source).place(*at)));
             }
             if errors(&now) > errors(&before) {
                 let new = now
@@ -213,7 +218,7 @@ impl Workspace {
     fn text_of(&self, path: &Path) -> Option<String> {
         match self.document(path) {
             Some(document) => Some(document.source.text.clone()),
-            None => armarium_source::Source::read(path).ok().map(|source| source.text.clone()),
+            None => Source::read(path).ok().map(|source| source.text.clone()),
         }
     }
 
@@ -233,10 +238,28 @@ impl Workspace {
     }
 }
 
-/// Where a byte of a file is when the edits are made.
+/// A file, a byte of it, and what the name there stands for.
+type Place<'s> = (&'s Source, usize, Symbol);
+
+fn order(a: &Place<'_>, b: &Place<'_>) -> Ordering {
+    a.0.by_path(b.0).then_with(|| (a.1, &a.2).cmp(&(b.1, &b.2)))
+}
+
+/// What stands where, in the order of the files, each once.
+fn ordered<'s>(places: impl Iterator<Item = Place<'s>>) -> Vec<Place<'s>> {
+    let mut places: Vec<Place<'s>> = places.collect();
+    places.sort_by(order);
+    places.dedup_by(|a, b| order(a, b).is_eq());
+    places
+}
+
+/// Where a byte of a file is when the edits are made, which are in the order of the text and each replace the same name.
 fn moved(edits: &Edits, path: &Path, at: usize) -> usize {
-    let before = edits.get(path).into_iter().flatten().filter(|edit| edit.span.end <= at);
-    before.fold(at, |at, edit| at + edit.text.len() - (edit.span.end - edit.span.start))
+    let Some(edits) = edits.get(path) else { return at };
+    let before = edits.partition_point(|edit| edit.span.end <= at);
+    edits
+        .first()
+        .map_or(at, |edit| at + before * edit.text.len() - before * (edit.span.end - edit.span.start))
 }
 
 /// Whether a name is given in files.
@@ -255,19 +278,26 @@ fn ours(symbol: &Symbol) -> Result<(), RenameError> {
     Err(RenameError::NotOurs { name: symbol.name().to_owned(), what })
 }
 
-/// Whether a text can be the name of a thing.
-fn fits(symbol: &Symbol, name: &str) -> bool {
+/// Why a text cannot be the name of a thing.
+fn unfit(symbol: &Symbol, name: &str) -> Option<&'static str> {
+    let word = |part: &str, more: &str| {
+        !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || c == '_' || more.contains(c))
+    };
     match symbol {
-        Symbol::Event { .. } | Symbol::Outcome { .. } => {
-            !matches!(name, "success" | "failure")
-                && name.split('.').all(|part| {
-                    !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-')
-                })
+        Symbol::Event { .. } | Symbol::Outcome { .. } if matches!(name, "success" | "failure") => {
+            Some("is an outcome that the language gives")
         }
-        Symbol::Declared { section: Section::Types, .. } => {
-            is_name(name) && armarium_values::Type::parse(name, &|_| None).is_none()
+        Symbol::Event { .. } | Symbol::Outcome { .. } => (!name.split('.').all(|part| word(part, "-")))
+            .then_some("is not the name of an event: letters, digits, `_` and `-`, in parts joined by dots"),
+        _ if is_name(name) => {
+            let types = matches!(symbol, Symbol::Declared { section: Section::Types, .. });
+            let known = types && armarium_values::Type::parse(name, &|_| None).is_some();
+            known.then_some("is a type that the language gives")
         }
-        _ => is_name(name),
+        _ if word(name, "") && !name.starts_with(|c: char| c.is_ascii_digit()) => {
+            Some("is a word of the language")
+        }
+        _ => Some("is not a name: letters, digits and `_`, no digit first"),
     }
 }
 

@@ -10,9 +10,13 @@ pub(crate) struct Lines(Vec<usize>);
 impl Lines {
     pub(crate) fn of(text: &str) -> Self {
         let bytes = text.as_bytes();
-        let ends = (0..bytes.len())
-            .filter(|at| bytes[*at] == b'\n' || bytes[*at] == b'\r' && bytes.get(at + 1) != Some(&b'\n'));
-        Self(std::iter::once(0).chain(ends.map(|at| at + 1)).collect())
+        let mut starts = vec![0];
+        for (at, byte) in bytes.iter().enumerate() {
+            if *byte == b'\n' || *byte == b'\r' && bytes.get(at + 1) != Some(&b'\n') {
+                starts.push(at + 1);
+            }
+        }
+        Self(starts)
     }
 
     /// The byte of a position. One beyond its line is the line's end, one inside a character its beginning.
@@ -55,15 +59,21 @@ fn number(n: usize) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }
 
-/// A text after the changes of a client, one after the other.
-pub(crate) fn changed(text: &str, changes: Vec<TextDocumentContentChangeEvent>) -> String {
-    changes.into_iter().fold(text.to_owned(), |mut text, change| match change.range {
-        None => change.text,
-        Some(range) => {
-            let Span { start, end } = Lines::of(&text).span(&text, range);
-            text.replace_range(start..end, &change.text);
-            text
+/// A text after the changes of a client, one after the other, and its lines.
+pub(crate) fn changed(
+    (text, lines): (&str, &Lines),
+    changes: Vec<TextDocumentContentChangeEvent>,
+) -> (String, Lines) {
+    changes.into_iter().fold((text.to_owned(), lines.clone()), |(mut text, lines), change| {
+        match change.range {
+            None => text = change.text,
+            Some(range) => {
+                let Span { start, end } = lines.span(&text, range);
+                text.replace_range(start..end, &change.text);
+            }
         }
+        let lines = Lines::of(&text);
+        (text, lines)
     })
 }
 
@@ -154,8 +164,9 @@ mod tests {
             change(Some((0, 4, 0, 7)), "2"),
             change(Some((5, 0, 7, 0)), "\nend"),
         ];
-        assert_eq!(changed("a: 1", changes), "a:😀2o\nend");
-        assert_eq!(changed("a", vec![change(None, "b")]), "b");
+        let after = |text: &str, changes| changed((text, &Lines::of(text)), changes).0;
+        assert_eq!(after("a: 1", changes), "a:😀2o\nend");
+        assert_eq!(after("a", vec![change(None, "b")]), "b");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use armarium_runtime::chart::{self, Chart, Library, Outline, Reference};
 use armarium_source::yaml::{self, Node};
 use armarium_source::{Disk, Files, Finding, Findings, Source, code, is_yaml};
-use lsp_types::{Location, TextDocumentContentChangeEvent, TextEdit, Uri};
+use lsp_types::{TextDocumentContentChangeEvent, TextEdit, Uri};
 
 use crate::cases;
 use crate::kind::{Catalog, Kind, check_as};
@@ -57,7 +57,7 @@ pub(crate) struct Analysis {
     /// A chart with those that it names.
     pub(crate) library: Option<Library>,
     uses: Uses,
-    tree: OnceCell<Option<Node>>,
+    tree: OnceCell<Option<Arc<Node>>>,
     outline: OnceCell<Option<Outline>>,
     references: OnceCell<Vec<Reference>>,
 }
@@ -124,8 +124,8 @@ impl Workspace {
     pub fn open(&mut self, uri: Uri, version: i32, text: String) {
         let path = uri::path(&uri);
         let before = self.documents.remove(&path);
-        let source = Arc::new(Source::new(&path, text));
         let (kind, readable) = before.map_or((None, None), |before| (before.kind, before.readable));
+        let source = edited(&path, text, readable.as_deref());
         let kind = Kind::of(&path, &source.text).or(kind);
         let lines = Lines::of(&source.text);
         let document = Document { uri, version, source, lines, kind, analysis: None, readable };
@@ -137,11 +137,10 @@ impl Workspace {
     pub fn change(&mut self, uri: &Uri, version: i32, changes: Vec<TextDocumentContentChangeEvent>) {
         let path = uri::path(uri);
         let Some(document) = self.documents.get_mut(&path) else { return };
-        let text = changed(&document.source.text, changes);
-        document.version = version;
-        document.lines = Lines::of(&text);
+        let (text, lines) = changed((&document.source.text, &document.lines), changes);
+        (document.version, document.lines) = (version, lines);
         document.kind = Kind::of(&path, &text).or(document.kind);
-        document.source = Arc::new(Source::new(&path, text));
+        document.source = edited(&path, text, document.readable.as_deref());
         document.analysis = None;
         self.touched(&path);
     }
@@ -190,6 +189,10 @@ impl Workspace {
 
     pub(crate) fn documents(&self) -> impl Iterator<Item = (&PathBuf, &Document)> {
         self.documents.iter()
+    }
+
+    pub(crate) fn roots(&self) -> &[PathBuf] {
+        &self.roots
     }
 
     fn overlay(&self) -> Overlay<'_> {
@@ -294,15 +297,6 @@ impl Workspace {
         folders.extend(self.folders.iter().cloned());
         chart::files(&folders, &self.overlay())
     }
-
-    /// A place in a file for the client; none where the file has no address.
-    pub(crate) fn location(&self, source: &Source, span: armarium_source::Span) -> Option<Location> {
-        let (uri, lines) = match self.documents.get(&source.path) {
-            Some(document) => (document.uri.clone(), document.lines.clone()),
-            None => (uri::of(&source.path)?, Lines::of(&source.text)),
-        };
-        Some(Location::new(uri, lines.range(&source.text, span)))
-    }
 }
 
 impl Document {
@@ -322,7 +316,7 @@ impl Analysis {
 
     /// The text as YAML.
     pub(crate) fn tree(&self) -> Option<&Node> {
-        self.tree.get_or_init(|| yaml::parse(&mut Findings::new(Arc::clone(&self.source)))).as_ref()
+        self.tree.get_or_init(|| yaml::parse(&mut Findings::new(Arc::clone(&self.source)))).as_deref()
     }
 
     /// The chart in the file.
@@ -335,6 +329,11 @@ impl Analysis {
     pub(crate) fn outline(&self) -> Option<&Outline> {
         self.outline.get_or_init(|| self.chart().map(|chart| Outline::of(chart))).as_ref()
     }
+}
+
+/// The text of a document, of which not more is read again than was changed since it was YAML last.
+fn edited(path: &Path, text: String, readable: Option<&Analysis>) -> Arc<Source> {
+    Arc::new(Source::edited(path, text, readable.map(|analysis| &*analysis.source)))
 }
 
 /// Adds the YAML files of a folder and of those inside it, but not of hidden ones and of what tools make.

@@ -367,7 +367,7 @@ fn a_rename_is_refused_with_its_reason() {
         ("channels.wrist", "channels.w|rist", "hand", "is a channel"),
         ("norm(", "n|orm(", "abs", "is a function"),
         ("  Wait:", "  W|ait:", "1st", "is not a name"),
-        ("  Wait:", "  W|ait:", "inputs", "is not a name"),
+        ("  Wait:", "  W|ait:", "inputs", "is a word of the language"),
         ("  Wait:", "  W|ait:", "Good", "stands for something else already"),
         ("  force: {type", "  f|orce: {type", "mood", "stands for something else already"),
         // Seen from inside, the new name would hide another state.

@@ -40,7 +40,7 @@ impl SharedRecorder {
         let mut recording = self.0.lock();
         let Some(recorder) = recording.recorder.as_mut() else { return };
         if let Err(error) = write(recorder).and_then(|()| recorder.health()) {
-            tracing::warn!("the recording ends here: {error}");
+            tracing::warn!("the recording ends here: {}", with_causes(&error));
             *recording = Recording { recorder: None, failed: true };
         }
     }
@@ -51,7 +51,7 @@ impl SharedRecorder {
         if let Some(recorder) = ended {
             match recorder.finish() {
                 Ok(()) => tracing::warn!("the recording ends here: {why}"),
-                Err(error) => tracing::warn!("the recording ends here: {why}; {error}"),
+                Err(error) => tracing::warn!("the recording ends here: {why}; {}", with_causes(&error)),
             }
         }
     }
@@ -62,11 +62,23 @@ impl SharedRecorder {
         if let Some(recorder) = recording.recorder.take()
             && let Err(error) = recorder.finish()
         {
-            tracing::warn!("the end of the recording is missing: {error}");
+            tracing::warn!("the end of the recording is missing: {}", with_causes(&error));
             recording.failed = true;
         }
         !recording.failed
     }
+}
+
+/// An error with what caused it: `cannot write the recording: no space left on device`.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    let mut said: Vec<String> = Vec::new();
+    for cause in causes.map(ToString::to_string) {
+        if !said.iter().any(|said| said.contains(&cause)) {
+            said.push(cause);
+        }
+    }
+    said.join(": ")
 }
 
 /// SHA-256 over the canonical CBOR of all engine events, configurations and joint commands.

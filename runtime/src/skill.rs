@@ -4,6 +4,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::panic::Location;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -48,6 +50,26 @@ pub struct SkillManifest {
     /// Whether it may have more inputs and outputs than declared here, as for a skill of another agent that has not
     /// been queried yet.
     pub open: bool,
+    /// Where it is declared: for people, and for editors that go there.
+    pub declared_at: DeclaredAt,
+}
+
+/// A line of a program's text, if it is known. Any two are equal: what is declared is the same wherever it stands.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DeclaredAt(Option<&'static Location<'static>>);
+
+impl DeclaredAt {
+    /// The file, from the folder of its Cargo workspace on, and the line, from 1.
+    #[must_use]
+    pub fn line(self) -> Option<(&'static Path, u32)> {
+        self.0.map(|place| (Path::new(place.file()), place.line()))
+    }
+}
+
+impl PartialEq for DeclaredAt {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 /// A typed, documented input or output of a skill or chart, or a local of a chart.
@@ -328,10 +350,12 @@ impl Parameter {
 
 impl SkillManifest {
     /// A skill without inputs, outputs, further outcomes, events, channels or limbs, and with a grace of 1 s.
+    #[track_caller]
     pub fn new(name: &str, description: &str) -> Self {
         Self {
             name: name.into(),
             description: description.into(),
+            declared_at: DeclaredAt(Some(Location::caller())),
             inputs: Vec::new(),
             outputs: Vec::new(),
             outcomes: Vec::new(),

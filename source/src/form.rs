@@ -141,7 +141,7 @@ pub fn read<F: Form>(source: Arc<Source>) -> Result<F, Vec<Finding>> {
 ///
 /// # Errors
 /// Everything that is wrong with it, in the order of the text.
-pub fn read_node<F: Form>(source: Arc<Source>) -> Result<(F, Node), Vec<Finding>> {
+pub fn read_node<F: Form>(source: Arc<Source>) -> Result<(F, Arc<Node>), Vec<Finding>> {
     if source.text.trim().is_empty() {
         let mut findings = Findings::new(source);
         let message = format!("the file is empty: {} has the keys {}", F::CALLED, names_of::<F>());
@@ -151,7 +151,7 @@ pub fn read_node<F: Form>(source: Arc<Source>) -> Result<(F, Node), Vec<Finding>
     let blank = source.text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#'));
     let mut findings = Findings::new(source);
     let nothing = Node { span: Span { start: 0, end: 1 }, value: Yaml::Null };
-    let node = if blank { Some(nothing) } else { yaml::parse(&mut findings) };
+    let node = if blank { Some(Arc::new(nothing)) } else { yaml::parse(&mut findings) };
     if let Some(node) = &node
         && node.get("statechart").is_some()
         && !F::keys().iter().any(|key| key.name == "statechart")

@@ -115,3 +115,66 @@ proptest::proptest! {
         let _ = shelf(&format!("name: {{{key}: {value}}}\nbooks: [{{{key}: {value}}}]\n{key}: {value}\n"));
     }
 }
+
+mod edited {
+    use std::sync::Arc;
+
+    use proptest::prelude::*;
+
+    use crate::yaml::{self, Node};
+    use crate::{Findings, Source};
+
+    const TEXT: &str = "# A chart.\nstatechart: C # named\ninputs: {f: {type: float}}\nstates:\n  A:\n    skill: Look\n    with:\n      a: [1,\n        2]\n      'b': |\n        text\n\n    transitions: {success: B,\n      failure: D}\n  # Between.\n  B:\n  é: {final: success}\n  D:\n    enter:\n    - log: x\n    - {raise: y}\nlast: ~\n";
+
+    fn tree(source: Source) -> (Arc<Source>, Option<Arc<Node>>) {
+        let source = Arc::new(source);
+        let tree = yaml::parse(&mut Findings::new(Arc::clone(&source)));
+        (source, tree)
+    }
+
+    #[test]
+    fn what_is_not_edited_is_not_read_again() {
+        let before = tree(Source::new("", TEXT)).1.expect("it is YAML");
+        let edit = |from, to| yaml::after_edit(TEXT, &before, &TEXT.replacen(from, to, 1));
+        for (from, to) in [
+            ("Look", "Loook"),
+            ("[1,", "[1, 7,"),
+            ("success: B", "success: D"),
+            ("text", "text\n        more"),
+            ("~", "7"),
+        ] {
+            assert!(edit(from, to).is_some(), "{from}");
+        }
+        for (from, to) in [
+            ("statechart", "chart"),
+            ("Look", "&a Look"),
+            ("  D:\n", "D:\n"),
+            ("Look", "[Look"),
+            ("x\n", "x\n  E: 1\n  "),
+        ] {
+            assert!(edit(from, to).is_none(), "{from}");
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1000))]
+
+        #[test]
+        fn an_edited_text_has_the_tree_of_its_text(
+            edits in prop::collection::vec((0..300_usize, 0..6_usize, "[a: \\n{}',&#|~-]{0,5}"), 1..4),
+        ) {
+            let mut text = TEXT.to_owned();
+            let (mut before, _) = tree(Source::edited("", TEXT, None));
+            for (at, length, typed) in edits {
+                let boundary = |at: usize| (0..=at.min(text.len())).rfind(|at| text.is_char_boundary(*at)).unwrap_or(0);
+                let (start, end) = (boundary(at), boundary(at + length));
+                text.replace_range(start..end, &typed);
+                let (now, edited) = tree(Source::edited("", text.as_str(), Some(&before)));
+                prop_assert_eq!(&edited, &tree(Source::new("", text.as_str())).1, "{}", text);
+                if edited.is_some() {
+                    before = now;
+                }
+            }
+        }
+    }
+}

@@ -20,7 +20,7 @@ const HELP: &str = "\
 
 /// Asks for lines until the input or the run ends, or the user quits.
 pub(super) fn run(
-    mut stepper: Stepper,
+    stepper: &mut Stepper,
     check: &StepCheck<'_>,
     input: &mut dyn BufRead,
     out: &mut dyn Write,
@@ -29,7 +29,7 @@ pub(super) fn run(
     writeln!(out, "{HELP}")?;
     let mut text = String::new();
     loop {
-        show(&mut stepper, out)?;
+        show(stepper, out)?;
         if stepper.result().is_some() {
             return Ok(());
         }
@@ -43,9 +43,9 @@ pub(super) fn run(
             "" => {}
             "quit" | "q" | "exit" => return Ok(()),
             "help" | "?" => writeln!(out, "{HELP}")?,
-            "vars" => variables(&stepper, out)?,
+            "vars" => variables(stepper, out)?,
             line => {
-                if let Err(message) = obey(&mut stepper, check, line) {
+                if let Err(message) = obey(stepper, check, line) {
                     writeln!(out, "  {message}")?;
                 }
             }
@@ -133,7 +133,7 @@ mod tests {
         let check = StepCheck::new(&program, &registry);
         let lines = "nonsense {\ngo@Nowhere\ngo@A\ngoo\ngo {\"n\": 7}\nvars\n+soon\n+2s\n";
         let mut out = Vec::new();
-        run(stepper.expect("it has no inputs"), &check, &mut lines.as_bytes(), &mut out)
+        run(&mut stepper.expect("it has no inputs"), &check, &mut lines.as_bytes(), &mut out)
             .expect("memory can be written");
         let text = String::from_utf8(out).expect("text is UTF-8");
         for part in [

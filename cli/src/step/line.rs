@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use armarium_runtime::program::{EventId, Program};
-use armarium_runtime::stepping::{Sent, Stepper};
+use armarium_runtime::stepping::{Sent, StepError, Stepper};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
@@ -145,24 +145,18 @@ pub(super) fn channel_step(channel: &str, value: &Value) -> serde_json::Value {
     serde_json::json!({"channel": channel, "value": value.to_json()})
 }
 
-/// Passes a line's input to the chart. An outcome of an inactive state is only a warning: as in a run, it is dropped.
-pub(super) fn apply(
-    stepper: &mut Stepper,
-    input: &InputLine,
-    number: usize,
-    err: &mut dyn Write,
-) -> io::Result<()> {
+/// Passes a line's input to the chart.
+///
+/// # Errors
+/// [`StepError`] when it is an outcome or a watch of a state that is not active, or has none such now: nothing changes.
+pub(super) fn apply(stepper: &mut Stepper, input: &InputLine) -> Result<(), StepError> {
     if !input.after.is_zero() {
         stepper.advance(input.after);
     }
     match &input.what {
         LineInput::Event { number: Some(number), data, .. } => stepper.raise(*number, data.clone()),
         LineInput::Event { name, data, .. } => stepper.event(name, data.clone()),
-        LineInput::Report { from, name, data } => {
-            if let Err(error) = stepper.report(from, name, data.clone()) {
-                writeln!(err, "warning: line {number} of the events: {error}")?;
-            }
-        }
+        LineInput::Report { from, name, data } => stepper.report(from, name, data.clone())?,
         LineInput::Publish { channel, value } => stepper.publish(channel, value.clone()),
         LineInput::Nothing => {}
     }

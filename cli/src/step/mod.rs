@@ -32,7 +32,8 @@ pub(crate) struct StepArgs {
     #[arg(long)]
     pub(crate) profile: Option<String>,
     /// Events as JSON lines: `{"name": "t1", "data": .., "after_ms": 100}`; an outcome or watch has `"from": "State"`; a
-    /// channel's value is `{"channel": "hand", "value": ..}`. `-` reads them from standard input.
+    /// channel's value is `{"channel": "hand", "value": ..}`. `-` reads them from standard input, where an event that the chart does
+    /// not take is a warning; in a file it is an error.
     #[arg(long, value_name = "FILE")]
     pub(crate) events: Option<PathBuf>,
     /// Additional folders in which charts find other charts by name.
@@ -60,7 +61,7 @@ enum Stopped {
 }
 
 /// Drives the chart; results go to `out`, errors to `err`. Returns the exit status: 2 when a file, an argument or an
-/// event is invalid, otherwise 0.
+/// event of a file is invalid, 1 when the run has failed, otherwise 0.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.
@@ -70,7 +71,7 @@ pub(crate) fn run(args: &StepArgs, out: &mut dyn Write, err: &mut dyn Write) -> 
         return console::show(&checked.findings, err).map(|()| 2);
     };
     match drive(args, &program, out, err) {
-        Ok(()) => Ok(0),
+        Ok(status) => Ok(status),
         Err(Stopped::Wrong(message)) => writeln!(err, "error: {message}").map(|()| 2),
         Err(Stopped::Io(error)) => Err(error),
     }
@@ -81,40 +82,74 @@ fn drive(
     program: &Arc<Program>,
     out: &mut dyn Write,
     err: &mut dyn Write,
-) -> Result<(), Stopped> {
+) -> Result<u8, Stopped> {
     let inputs = read_inputs(&args.inputs, program).map_err(|e| Stopped::Wrong(e.to_string()))?;
     let stepper = Stepper::new(Arc::clone(program), &inputs, args.profile.as_deref());
     let mut stepper = stepper.map_err(|e| Stopped::Wrong(e.to_string()))?;
     let registry = catalog::idle_registry();
     let check = StepCheck::new(program, &registry);
+    // A program that drives a chart through pipes sees what became of each event.
+    let strict = args.events.as_ref().is_some_and(|events| events.as_os_str() != "-");
+    let mut refused = Refused { err, strict, any: false };
     if args.interactive {
-        return Ok(interactive::run(stepper, &check, &mut io::stdin().lock(), out)?);
+        interactive::run(&mut stepper, &check, &mut io::stdin().lock(), out)?;
+    } else if args.quiet {
+        measure(args, &mut stepper, &check, out, &mut refused)?;
+    } else {
+        stepper.start();
+        line::write(&mut stepper, "", out)?;
+        follow(args, &mut stepper, &check, out, &mut refused)?;
     }
-    if args.quiet {
-        return measure(args, &mut stepper, &check, out, err);
-    }
-    stepper.start();
-    line::write(&mut stepper, "", out)?;
+    let failed = stepper.result().is_some_and(|result| result.outcome == "failure");
+    Ok(if refused.any { 2 } else { u8::from(failed) })
+}
+
+/// Drives the list of events, and answers each.
+fn follow(
+    args: &StepArgs,
+    stepper: &mut Stepper,
+    check: &StepCheck<'_>,
+    out: &mut dyn Write,
+    refused: &mut Refused<'_>,
+) -> Result<(), Stopped> {
     let Some(events) = &args.events else { return Ok(()) };
     if args.repeat == 1 {
         // Each line is answered before the next is read, so that a program can drive a chart through pipes.
         return each_line(events, |number, text| {
-            if let Some(input) = checked(number, text, &check, err)? {
-                line::apply(&mut stepper, &input, number, err)?;
-                line::write(&mut stepper, input.name(), out)?;
+            if let Some(input) = checked(number, text, check, refused)? {
+                refused.unless(number, line::apply(stepper, &input))?;
+                line::write(stepper, input.name(), out)?;
                 out.flush()?;
             }
             Ok(())
         });
     }
-    let list = read_all(events, &check, err)?;
+    let list = read_all(events, check, refused)?;
     for _ in 0..args.repeat {
         for (number, input) in &list {
-            line::apply(&mut stepper, input, *number, err)?;
-            line::write(&mut stepper, input.name(), out)?;
+            refused.unless(*number, line::apply(stepper, input))?;
+            line::write(stepper, input.name(), out)?;
         }
     }
     Ok(())
+}
+
+/// Events that the chart does not take: each is said, and the list goes on as a run would, which refuses them to their sender.
+struct Refused<'e> {
+    err: &'e mut dyn Write,
+    /// Whether they are errors.
+    strict: bool,
+    /// Whether there was an error.
+    any: bool,
+}
+
+impl Refused<'_> {
+    fn unless<E: std::fmt::Display>(&mut self, line: usize, result: Result<(), E>) -> io::Result<()> {
+        let Err(why) = result else { return Ok(()) };
+        self.any |= self.strict;
+        let kind = if self.strict { "error" } else { "warning" };
+        writeln!(self.err, "{kind}: line {line} of the events: {why}")
+    }
 }
 
 /// Drives the list `repeat` times and prints the time taken.
@@ -124,10 +159,10 @@ fn measure(
     stepper: &mut Stepper,
     check: &StepCheck<'_>,
     out: &mut dyn Write,
-    err: &mut dyn Write,
+    refused: &mut Refused<'_>,
 ) -> Result<(), Stopped> {
     let mut list =
-        args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check, err))?;
+        args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check, refused))?;
     let program = Arc::clone(stepper.engine().program());
     list = list.into_iter().map(|(number, input)| (number, input.looked_up(&program))).collect();
     stepper.keep_quiet();
@@ -138,7 +173,7 @@ fn measure(
         None => {
             for _ in 0..args.repeat {
                 for (number, input) in &list {
-                    line::apply(stepper, input, *number, err)?;
+                    refused.unless(*number, line::apply(stepper, input))?;
                 }
             }
         }
@@ -152,28 +187,28 @@ fn measure(
 fn read_all(
     events: &PathBuf,
     check: &StepCheck<'_>,
-    err: &mut dyn Write,
+    refused: &mut Refused<'_>,
 ) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
-        list.extend(checked(number, text, check, err)?.map(|input| (number, input)));
+        list.extend(checked(number, text, check, refused)?.map(|input| (number, input)));
         Ok(())
     })?;
     Ok(list)
 }
 
-/// A line that is something the chart understands; `None` for an empty one. An event that no state takes changes nothing, as in
-/// SCXML, and is said.
+/// A line that is something the chart understands; `None` for an empty one. An event that the chart does not know is refused, and
+/// changes nothing, as in SCXML.
 fn checked(
     number: usize,
     text: &str,
     check: &StepCheck<'_>,
-    err: &mut dyn Write,
+    refused: &mut Refused<'_>,
 ) -> Result<Option<line::InputLine>, Stopped> {
     let input = line::read(text).map_err(|e| wrong(number, &e))?;
     match input.as_ref().map_or(Ok(()), |input| check.check(&input.step())) {
         Err(error) if error.is_unknown_event() && !matches!(input, Some(ref input) if input.is_report()) => {
-            writeln!(err, "warning: line {number} of the events: {error}")?;
+            refused.unless(number, Err(error))?;
         }
         checked => checked.map_err(|error| wrong(number, &error.to_string()))?,
     }

@@ -15,6 +15,7 @@ use super::expressions::{self, Names, Scope, Site};
 use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
 use super::lint::lint;
+use super::literals::negative_time;
 use super::model::{self, Chart};
 use super::names::unknown_names;
 use super::suspicious::suspicious;
@@ -68,7 +69,7 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
     }
     findings.sort_by(|a, b| {
         let key = |f: &'_ Finding| (f.span.start, f.code);
-        a.source.path.cmp(&b.source.path).then_with(|| key(a).cmp(&key(b)))
+        a.source.by_path(&b.source).then_with(|| key(a).cmp(&key(b)))
     });
     explain(&mut findings);
     // A chart that is used twice is compiled twice; what is wrong with it is said once.
@@ -318,9 +319,7 @@ impl<'t> Compiler<'t> {
             _ => None,
         };
         if seconds.is_some_and(|seconds| seconds < 0.0) {
-            self.reporting(site.source, |_, findings| {
-                findings.error(code::VALUE, node.span, "a duration is not negative");
-            });
+            self.reporting(site.source, |_, findings| negative_time(node, findings));
         }
     }
 

@@ -4,7 +4,7 @@
 use std::cell::{Cell, RefCell};
 
 use armarium_source::yaml::{Node, Yaml};
-use armarium_source::{Findings, Remedy, Span, code};
+use armarium_source::{Findings, Remedy, Source, Span, code};
 use armarium_values::expr::{
     Environment, Expr, ExprErrorKind, Found, Piece, Slot, Unknown, Unresolved, Variable, nearest, split,
 };
@@ -172,7 +172,8 @@ impl Environment for Scope<'_, '_> {
             }
             let near = nearest(name, variables.iter().map(|v| v.declaration.name.as_str()));
             let near = near.map(|near| format!("{}.{near}", path[0]));
-            return unresolved(format!("the chart has no `{}.{name}`", path[0]), near, None);
+            let help = format!("declare it: `{}: {{{name}: {{type: ...}}}}`", path[0]);
+            return unresolved(format!("the chart has no `{}.{name}`", path[0]), near, Some(help));
         }
         match (path[0], path.get(1)) {
             ("event", Some(&"name")) => return found(Slot::EventName, Type::String, 2),
@@ -320,11 +321,14 @@ impl Scope<'_, '_> {
                     let states = if path.len() > 1 { names.visible(self.site.state) } else { Vec::new() };
                     nearest(path[0], known.into_iter().chain(states)).map(str::to_owned)
                 });
-            let help = match path {
-                [name] => Some(format!("a text stands in quotes: `'{name}'`")),
-                _ => None,
+            let message = format!("there is no `{}` here", path[0]);
+            return match path {
+                [name] if near.is_none() => {
+                    let help = Some(format!("a text stands in quotes: `'{name}'`"));
+                    Err(Unresolved { kind: Unknown::Name, message, help, near: Some(format!("'{name}'")) })
+                }
+                _ => unresolved(message, near, None),
             };
-            return unresolved(format!("there is no `{}` here", path[0]), near, help);
         };
         let found = names.tree.state(state);
         let outputs = &found.outputs;
@@ -359,6 +363,9 @@ pub(super) fn condition(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findi
             let message = format!("an expression is needed here, not {}", other.describe());
             let help = "YAML reads `{`, `[`, `!` and `#` itself: put the expression into quotes".to_owned();
             findings.error_help(code::FORM, node.span, message, Some(help));
+            if let Some(remedy) = quoted(node, &findings.source) {
+                findings.remedy(remedy);
+            }
             return None;
         }
     };
@@ -375,6 +382,23 @@ pub(super) fn condition(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findi
             None
         }
     }
+}
+
+/// Quotes for a condition that YAML reads as something else: `{a > 3}`, `!a`.
+fn quoted(node: &Node, source: &Source) -> Option<Remedy> {
+    let (text, layout) = (&source.text, source.layout());
+    let entry = layout.entries.iter().rfind(|entry| {
+        entry.key.start < node.span.start && entry.value.is_some_and(|value| value <= node.span.start)
+    })?;
+    let span = Span { start: entry.value?, end: entry.end };
+    let written = text.get(span.start..span.end)?;
+    let expression = match written.strip_prefix('{').and_then(|inner| inner.strip_suffix('}')) {
+        Some(inner) => inner.trim(),
+        None => written.trim(),
+    };
+    let quote = if expression.contains('"') { '\'' } else { '"' };
+    let plain = !expression.is_empty() && !expression.contains([quote, '\n']) && !expression.contains(": ");
+    plain.then(|| Remedy::replace(span, format!("{quote}{expression}{quote}")))
 }
 
 /// Compiles one expression that begins `offset` bytes into the text at `span`.
@@ -410,6 +434,8 @@ fn expression(
             if let Some((start, end, near)) = error.near {
                 let file = &findings.source.text;
                 let at = inner_span(file, text, offset, span, offset + start, offset + end);
+                // A text in an expression has the quotes that those around it are not.
+                let near = if file[span.start..].starts_with('\'') { near.replace('\'', "\"") } else { near };
                 if file.get(at.start..at.end) == text.get(start..end) {
                     findings.remedy(Remedy::replace(at, near));
                 }
@@ -481,7 +507,15 @@ fn text(text: &str, span: Span, scope: &Scope<'_, '_>, findings: &mut Findings) 
     let pieces = match split(text) {
         Ok(pieces) => pieces,
         Err(error) => {
-            findings.error(code::EXPRESSION, span, error.to_string());
+            let written = findings.source.text.get(span.start..span.end).unwrap_or("").to_owned();
+            let help = Some("add the missing `}`".to_owned());
+            findings.error_help(code::EXPRESSION, span, error.to_string(), help);
+            // Before the quote that ends the text.
+            let inner = written.trim_end_matches(['"', '\'']).len();
+            if written.get(1..inner).is_some_and(|inner| inner.contains("${")) || written.starts_with("${") {
+                let at = Span { start: span.start + inner, end: span.start + inner };
+                findings.remedy(Remedy::replace(at, "}"));
+            }
             return None;
         }
     };

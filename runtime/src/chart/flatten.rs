@@ -25,7 +25,7 @@ const MAX_STATES: usize = 200_000;
 pub(super) struct Tree<'l> {
     pub(super) states: Vec<Flat<'l>>,
     /// Children by parent and name.
-    children: BTreeMap<(StateId, String), StateId>,
+    children: BTreeMap<(StateId, &'l str), StateId>,
     pub(super) instances: Vec<Instance>,
     pub(super) sources: Vec<Arc<Source>>,
     /// How many places for data there are.
@@ -133,11 +133,11 @@ impl Tree<'_> {
 
     /// The state that the first parts of a path name, and how many parts those are.
     pub(super) fn find_prefix(&self, from: StateId, path: &[&str]) -> Option<(StateId, usize)> {
-        let first = (*path.first()?).to_owned();
-        let start = self.visible(from).find_map(|around| self.children.get(&(around, first.clone())))?;
+        let first = *path.first()?;
+        let start = self.visible(from).find_map(|around| self.children.get(&(around, first)))?;
         let (mut state, mut used) = (*start, 1);
         while let Some(name) = path.get(used) {
-            match self.children.get(&(state, (*name).to_owned())) {
+            match self.children.get(&(state, *name)) {
                 Some(child) if self.state(*child).instance == self.state(from).instance => {
                     (state, used) = (*child, used + 1);
                 }
@@ -157,8 +157,7 @@ impl Tree<'_> {
 
     /// The names of the first children of a state.
     pub(super) fn child_names(&self, of: StateId, most: usize) -> impl Iterator<Item = &str> {
-        let range = (of, String::new())..(of + 1, String::new());
-        self.children.range(range).take(most).map(|((_, name), _)| name.as_str())
+        self.children.range((of, "")..(of + 1, "")).take(most).map(|((_, name), _)| *name)
     }
 }
 
@@ -310,8 +309,8 @@ impl<'l> Flattening<'l, '_> {
                 return;
             }
             let id = self.push(child, parent, None);
-            let name = &child.name.text;
-            if self.tree.children.insert((parent, name.clone()), id).is_some() {
+            let name = child.name.text.as_str();
+            if self.tree.children.insert((parent, name), id).is_some() {
                 let message = format!("there are two states `{name}` here");
                 self.error(source, code::DUPLICATE, &child.name, message, None);
             }
@@ -345,7 +344,9 @@ impl<'l> Flattening<'l, '_> {
                 if self.stack.contains(&name.text) {
                     let message =
                         format!("charts contain each other: {} -> {}", self.stack.join(" -> "), name.text);
-                    self.error(source, code::CYCLE, name, message, None);
+                    let help =
+                        "a chart cannot be inside of itself: put what both need into a chart of its own";
+                    self.error(source, code::CYCLE, name, message, Some(help.to_owned()));
                     return;
                 }
                 let outputs: Vec<_> =

@@ -1,5 +1,7 @@
 //! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
 
+use armarium_source::Key;
+
 /// A group of words and what they are here.
 type Words = (&'static [&'static str], &'static str);
 
@@ -123,8 +125,20 @@ const SAME: &[(&str, &[&str])] = &[
     ("locals", &["variables", "vars"]),
 ];
 
-/// What a key that the form does not have is here, and the key that stands for it if nothing else changes.
-pub(super) fn meant(key: &str) -> Option<(&'static str, Option<&'static str>)> {
+/// Words for keys that only transitions in lists have.
+const IN_LISTS: &[(&str, &[&str], &str)] = &[
+    ("event", &["trigger", "on", "name", "signal", "id"], "in Armarium this is `event: name`"),
+    ("for", &["delay", "after", "time", "timeout", "in"], "in Armarium this is `for: 5s`"),
+];
+
+/// What a key that a form with `keys` does not have is here, and the key that stands for it if nothing else changes.
+pub(super) fn meant(key: &str, keys: &[Key]) -> Option<(&'static str, Option<&'static str>)> {
+    let required = |name: &str| keys.iter().any(|key| key.name == name && key.required);
+    if let Some((same, _, help)) =
+        IN_LISTS.iter().find(|(same, words, _)| required(same) && words.contains(&key))
+    {
+        return Some((help, Some(same)));
+    }
     let (_, help) = WORDS.iter().find(|(words, _)| words.contains(&key))?;
     let same = SAME.iter().find(|(_, words)| words.contains(&key)).map(|(same, _)| *same);
     Some((help, same))

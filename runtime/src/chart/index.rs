@@ -99,8 +99,8 @@ impl Indexing<'_, '_> {
     }
 
     /// What an event of its own that a state gives is.
-    fn symbol(&self, scoped: &Scoped) -> Symbol {
-        let name = scoped.name.clone();
+    fn symbol(&self, scoped: &Scoped<'_>) -> Symbol {
+        let name = scoped.name.to_owned();
         if scoped.watch {
             return self.watch(scoped.state, &name);
         }
@@ -133,7 +133,7 @@ impl Indexing<'_, '_> {
             }
             let around = if one.own_only { 1 } else { usize::MAX };
             for state in self.program.outward(one.state).take(around) {
-                taken.entry((state, &one.name)).or_default().insert(symbol.clone());
+                taken.entry((state, one.name)).or_default().insert(symbol.clone());
             }
         }
         let mut by_skill: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();

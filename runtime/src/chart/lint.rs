@@ -14,7 +14,7 @@ use super::library::Library;
 use super::model::{self, ActionKind};
 use super::scoped::{Scoped, can_end, reached, scoped};
 use crate::program::limbs::Limbs;
-use crate::program::{Kind, Program, State, StateId};
+use crate::program::{Kind, Pattern, Program, State, StateId};
 
 /// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known
 /// either.
@@ -32,6 +32,12 @@ pub(super) fn lint(program: &Program, tree: &Tree<'_>, library: &Library, unknow
     lint.limbs();
     lint.findings
 }
+
+/// What other languages call outcomes.
+const OUTCOMES: [(&str, &[&str]); 2] = [
+    ("failure", &["failed", "fail", "error", "aborted", "abort", "Failure", "FAILURE", "onError"]),
+    ("success", &["succeeded", "done", "ok", "finished", "completed", "Success", "SUCCESS", "onDone"]),
+];
 
 struct Lint<'a, 'l> {
     program: &'a Program,
@@ -73,7 +79,7 @@ impl Lint<'_, '_> {
     /// Events that nobody raises. Returns those that are misspelt: where a transition has them, and what was probably meant.
     fn unknown_events(
         &mut self,
-        scoped: &[Scoped],
+        scoped: &[Scoped<'_>],
         reached: &[bool],
         library: &Library,
     ) -> BTreeSet<(StateId, String)> {
@@ -86,11 +92,12 @@ impl Lint<'_, '_> {
         // A skill or chart that could not be found may end in any way, and raise anything.
         let missing: BTreeSet<StateId> = self.ids().filter(|id| self.is_missing(*id)).collect();
         let around: BTreeSet<StateId> = missing.iter().flat_map(|id| self.program.outward(*id)).collect();
-        let mut seen: BTreeSet<(StateId, &str)> = BTreeSet::new();
+        // Sorted in the end: it has an entry for each outcome at each state around.
+        let mut seen: Vec<(StateId, &str)> = Vec::new();
         for s in scoped.iter().filter(|s| s.at.is_none_or(|end| reached[end as usize])) {
             let around = if s.own_only { 1 } else { usize::MAX };
             for state in self.program.outward(s.state).take(around) {
-                seen.insert((state, &s.name));
+                seen.push((state, s.name));
             }
         }
         // A watch whose condition is wrong is not in the program; that its event never comes follows from that.
@@ -98,6 +105,9 @@ impl Lint<'_, '_> {
         for (id, watch) in models.flat_map(|(id, model)| model.watch.iter().map(move |watch| (id, watch))) {
             seen.extend(self.program.outward(id).map(|state| (state, watch.name.text.as_str())));
         }
+        seen.sort_unstable();
+        seen.dedup();
+        let seen_at = |state: StateId, name: &str| seen.binary_search(&(state, name)).is_ok();
         let mut broadcast: BTreeSet<String> = BTreeSet::new();
         for name in ["error.execution", "error.queue", "error.communication", "error.channel"] {
             broadcast.insert(name.to_owned());
@@ -106,9 +116,14 @@ impl Lint<'_, '_> {
             broadcast.extend(chart.events.iter().map(|(event, _)| event.text.clone()));
             raised(&chart.root, &mut broadcast);
         }
+        let ends_matter = self.program.transitions.iter().any(|transition| match &transition.pattern {
+            Pattern::Exact(event) | Pattern::Prefix(event) => event.starts_with("done"),
+            _ => false,
+        });
         for id in self.ids() {
             let state = self.program.state(id);
-            if missing.contains(&id) || can_end(self.program, id, &|end| reached[end as usize]) {
+            let ends = || missing.contains(&id) || can_end(self.program, id, &|end| reached[end as usize]);
+            if ends_matter && ends() {
                 broadcast.insert(format!("done.state.{}", state.name));
             }
             if let Kind::Skill { manifest } = &state.kind {
@@ -128,7 +143,7 @@ impl Lint<'_, '_> {
                         let next = broadcast.range(longer.clone()..).next();
                         broadcast.contains(prefix) || next.is_some_and(|name| name.starts_with(&longer))
                     }
-                    None => broadcast.contains(text) || seen.contains(&(id, text)),
+                    None => broadcast.contains(text) || seen_at(id, text),
                 };
                 if known || around.contains(&id) {
                     continue;
@@ -144,9 +159,14 @@ impl Lint<'_, '_> {
                 }
                 unknown += 1;
                 let few = if unknown <= MAX_HELP { MAX_NAMES } else { 0 };
-                let near = seen.range((id, "")..(id + 1, "")).map(|(_, name)| *name);
+                let (from, to) = (seen.partition_point(|s| s.0 < id), seen.partition_point(|s| s.0 <= id));
+                let near = seen[from..to].iter().map(|(_, name)| *name);
                 let candidates = near.chain(broadcast.iter().map(String::as_str)).take(few);
                 let near = nearest(text, candidates.chain(["failure"])).map(str::to_owned);
+                let said =
+                    OUTCOMES.iter().find(|(_, words)| words.contains(&text)).map(|(outcome, _)| *outcome);
+                let comes = |outcome: &&str| *outcome == "failure" || seen_at(id, outcome);
+                let near = said.filter(comes).map(str::to_owned).or(near);
                 let message = format!("nobody raises the event `{text}` here");
                 let (help, remedy) = match near {
                     Some(near) => {
@@ -212,19 +232,21 @@ impl Lint<'_, '_> {
         names && matches!(flat.inside, Inside::Nothing)
     }
 
-    fn unhandled(&mut self, scoped: &[Scoped], misspelt: &BTreeSet<(StateId, String)>) {
+    fn unhandled(&mut self, scoped: &[Scoped<'_>], misspelt: &BTreeSet<(StateId, String)>) {
         let mut said = BTreeSet::new();
         for s in scoped {
             if s.state == 0 || s.own_only || s.name == "failure" {
                 continue;
             }
             let Program { tables, symbols, .. } = self.program;
-            let taken = symbols.find(&s.name).is_some_and(|symbol| {
+            let taken = symbols.find(s.name).is_some_and(|symbol| {
                 self.program.outward(s.state).any(|state| !tables.exact(state, symbol).is_empty())
             });
-            let meant =
-                || self.program.outward(s.state).any(|state| misspelt.contains(&(state, s.name.clone())));
-            if taken || !said.insert((s.state, s.name.as_str())) || meant() {
+            let meant = || {
+                let named = |state| misspelt.contains(&(state, s.name.to_owned()));
+                !misspelt.is_empty() && self.program.outward(s.state).any(named)
+            };
+            if taken || !said.insert((s.state, s.name)) || meant() {
                 continue;
             }
             let name = &self.program.state(s.state).name;
@@ -246,7 +268,7 @@ impl Lint<'_, '_> {
     }
 
     /// A transition for an outcome: to where a failure of the state leads, or else to a final state beside it.
-    fn handler(&self, outcome: &Scoped) -> Option<Remedy> {
+    fn handler(&self, outcome: &Scoped<'_>) -> Option<Remedy> {
         let model = self.tree.state(outcome.state).model;
         let failure =
             model.transitions.iter().find(|t| t.event.as_ref().is_some_and(|e| e.text == "failure"));
@@ -259,7 +281,7 @@ impl Lint<'_, '_> {
                 if outcome.name == "success" { Some(first) } else { finals.next_back().or(Some(first)) };
             wanted.cloned()
         })?;
-        let (key, sections) = (outcome.name.clone(), vec!["transitions"]);
+        let (key, sections) = (outcome.name.to_owned(), vec!["transitions"]);
         Some(Remedy::Add { owner: Some(model.name.span), sections, key, value: to })
     }
 

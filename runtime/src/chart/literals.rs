@@ -2,8 +2,10 @@
 //! a chart; expressions are in `expressions`.
 
 use armarium_source::yaml::{Node, Yaml};
-use armarium_source::{Findings, Severity, code};
+use armarium_source::{Findings, Remedy, Severity, code};
 use armarium_values::{ConvertError, Type, Value};
+
+use super::suspicious::is_path;
 
 /// Times without a unit that are longer than this were probably meant in milliseconds, s.
 const LONG_S: f64 = 100.0;
@@ -17,7 +19,8 @@ pub(super) fn literal(node: &Node, ty: &Type, findings: &mut Findings) -> Option
 pub(super) fn fitting(literal: Value, node: &Node, ty: &Type, findings: &mut Findings) -> Option<Value> {
     match ty.convert(literal) {
         Ok(value) if !is_finite(&value) => {
-            findings.error(code::VALUE, node.span, "this number is too large");
+            let help = Some("numbers go up to about 1.8e308".to_owned());
+            findings.error_help(code::VALUE, node.span, "this number is too large", help);
             None
         }
         Ok(value) => {
@@ -26,9 +29,24 @@ pub(super) fn fitting(literal: Value, node: &Node, ty: &Type, findings: &mut Fin
             }
             Some(value)
         }
+        Err(ConvertError::NotInEnum { expected, found }) => {
+            let message = format!("`{found}` is not one of {}", expected.join(", "));
+            let words = expected.iter().map(String::as_str);
+            findings.unknown(code::TYPE, (node.span, &found), message, words, None);
+            None
+        }
         Err(error) => {
             let unit = matches!(error, ConvertError::Unit { .. });
             findings.error(if unit { code::UNIT } else { code::TYPE }, node.span, error.to_string());
+            if let Yaml::String(text) = &node.value
+                && is_path(text)
+            {
+                let meant = format!("\"${{{text}}}\"");
+                findings.list.last_mut().into_iter().for_each(|error| {
+                    error.help = Some(format!("write `{meant}` if its value is meant"));
+                });
+                findings.remedy(Remedy::replace(node.span, meant));
+            }
             None
         }
     }
@@ -41,6 +59,18 @@ pub(crate) fn unit_of_time(node: &Node, seconds: f64, findings: &mut Findings) {
         let help = format!("write the unit: `{seconds}s`, or `{seconds}ms` if milliseconds are meant");
         let message = format!("this is {seconds} s");
         findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
+        findings.remedy(Remedy::replace(node.span, format!("{seconds}ms")));
+    }
+}
+
+/// Refuses a time below 0.
+pub(super) fn negative_time(node: &Node, findings: &mut Findings) {
+    let source = std::sync::Arc::clone(&findings.source);
+    let written = source.text.get(node.span.start..node.span.end).unwrap_or("").trim_end();
+    let help = Some("times are 0 or more".to_owned());
+    findings.error_help(code::VALUE, node.span, format!("`{written}`: a duration is not negative"), help);
+    if let Some(positive) = written.strip_prefix('-') {
+        findings.remedy(Remedy::replace(node.span, positive));
     }
 }
 

@@ -9,7 +9,7 @@ use armarium_values::Type;
 
 use super::catalog::ChannelDescription;
 use super::symbols::Section;
-use crate::skill::{Limits, Parameter, SkillManifest};
+use crate::skill::{DeclaredAt, Limits, Parameter, SkillManifest};
 
 /// One chart file.
 #[derive(Debug)]
@@ -33,8 +33,8 @@ pub struct Chart {
     pub(crate) events: Vec<(Named, Option<Type>)>,
     pub(crate) channels: Vec<DeclaredChannel>,
     pub(crate) profiles: BTreeMap<String, Vec<(Named, Node)>>,
-    /// Where the defaults of inputs stand, by the input's name.
-    pub(crate) input_defaults: Vec<(String, Span)>,
+    /// Where the defaults of inputs and locals stand, by the name.
+    pub(crate) defaults: Vec<(String, Span)>,
     pub(crate) root: State,
 }
 
@@ -53,6 +53,7 @@ impl Chart {
     #[must_use]
     pub fn manifest(&self) -> SkillManifest {
         let mut manifest = SkillManifest::new(&self.name, &self.description);
+        manifest.declared_at = DeclaredAt::default();
         manifest.inputs.clone_from(&self.inputs);
         manifest.outputs.clone_from(&self.outputs);
         let mut outcomes = BTreeSet::new();

@@ -4,7 +4,7 @@
 //! default, what profiles say, and what other charts give to it are held against the names, too. What other expressions
 //! give is known in a run only.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use armarium_values::Value;
 use super::catalog::Registry;
 use super::flatten::{Inside, Tree};
 use super::model::Chart;
-use crate::program::{Binding, Instance, Kind, Program, StateId, Term};
+use crate::program::{Action, Binding, Instance, Kind, Program, StateId, Term, Variable};
 use crate::skill::{NameKind, Parameter};
 
 /// What is known of an input whose values are names.
@@ -59,20 +59,37 @@ pub(super) fn unknown_names(
                 let span = text_at(source, binding.place.byte as usize, name);
                 check.name(source, span, name, to);
             }
-            Term::Expr(code) => {
-                if let Some(slot) = code.expr.variable() {
+            Term::Expr(code) => match (code.expr.variable(), code.expr.constant()) {
+                (Some(slot), _) => {
                     named.entry(slot).or_insert(to);
                 }
-            }
+                (None, Some(Value::String(name))) => {
+                    let source = &program.sources[binding.place.source as usize];
+                    let written = source.text.get(binding.place.byte as usize..).unwrap_or("");
+                    let start = binding.place.byte as usize + written.find(name.as_str()).unwrap_or(0);
+                    check.name(source, Span { start, end: start + name.len() }, &name, to);
+                }
+                _ => {}
+            },
             _ => {}
         }
     }
+    let mut assigned = BTreeSet::new();
+    let of_transitions = program.transitions.iter().map(|transition| &transition.actions);
+    let of_states = program.states.iter().flat_map(|state| {
+        let entry = match &state.kind {
+            Kind::Composite { initial: entry } | Kind::History { default: entry, .. } => Some(&entry.actions),
+            _ => None,
+        };
+        [&state.enter, &state.exit].into_iter().chain(entry)
+    });
+    of_transitions.chain(of_states).for_each(|actions| assigns(actions, &mut assigned));
     let used = tree.states.iter().filter_map(|state| match &state.inside {
         Inside::Chart { chart, instance } => Some((*chart, *instance)),
         _ => None,
     });
     for (chart, instance) in used.chain([(root, 0)]) {
-        check.defaults(chart, &program.instances[instance as usize], &named);
+        check.defaults(chart, &program.instances[instance as usize], &named, &assigned);
     }
     check.profiles(root, &program.instances[0], &named);
     for input in &mut program.instances[0].inputs {
@@ -96,6 +113,23 @@ fn bindings(program: &Program) -> Vec<(StateId, &Binding)> {
     all
 }
 
+/// The places for data that actions set.
+fn assigns(actions: &[Action], slots: &mut BTreeSet<u32>) {
+    for action in actions {
+        match action {
+            Action::Assign { slot, .. } => {
+                slots.insert(*slot);
+            }
+            Action::If { then, otherwise, .. } => {
+                assigns(then, slots);
+                assigns(otherwise, slots);
+            }
+            Action::Foreach { body, .. } => assigns(body, slots),
+            _ => {}
+        }
+    }
+}
+
 struct Check<'c> {
     registry: &'c Registry,
     /// The file of the chart that is checked.
@@ -115,11 +149,18 @@ impl Check<'_> {
         self.findings.append(&mut findings.list);
     }
 
-    fn defaults(&mut self, chart: &Chart, instance: &Instance, named: &BTreeMap<u32, Named>) {
-        for input in &instance.inputs {
+    fn defaults(
+        &mut self,
+        chart: &Chart,
+        instance: &Instance,
+        named: &BTreeMap<u32, Named>,
+        assigned: &BTreeSet<u32>,
+    ) {
+        // A local that something assigns need not begin with a name.
+        let kept = |local: &&Variable| !assigned.contains(&local.slot);
+        for input in instance.inputs.iter().chain(instance.locals.iter().filter(kept)) {
             let Some(Value::String(name)) = &input.declaration.default else { continue };
-            let place =
-                chart.input_defaults.iter().find(|(input_name, _)| *input_name == input.declaration.name);
+            let place = chart.defaults.iter().find(|(declared, _)| *declared == input.declaration.name);
             if let (Some(to), Some((_, span))) = (named.get(&input.slot), place) {
                 self.name(&chart.source, *span, name, *to);
             }

@@ -8,7 +8,7 @@ use armarium_source::{Edit, Findings, Key, Remedy, Span, code};
 use armarium_values::{Type, Unit};
 
 use super::catalog::ChannelDescription;
-use super::literals::literal;
+use super::literals::{literal, negative_time};
 use super::model::{Chart, DeclaredChannel, Kind};
 use super::symbols::Section;
 use super::{foreign, forms};
@@ -52,6 +52,25 @@ const RESERVED: &[&str] = &[
     "var",
     "void",
     "while",
+];
+
+/// What other languages call types.
+const TYPES_ELSEWHERE: [(&str, &str); 15] = [
+    ("integer", "int"),
+    ("long", "int"),
+    ("number", "float"),
+    ("double", "float"),
+    ("real", "float"),
+    ("str", "string"),
+    ("text", "string"),
+    ("boolean", "bool"),
+    ("time", "duration"),
+    ("list", "list<any>"),
+    ("array", "list<any>"),
+    ("map", "map<any>"),
+    ("dict", "map<any>"),
+    ("object", "map<any>"),
+    ("json", "any"),
 ];
 
 /// Whether a text can be the name of a state, an input or an output.
@@ -105,7 +124,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn known(&mut self, entries: &Entries, keys: &[Key], called: &str) {
-        self.findings.known_or(entries, keys, called, foreign::meant);
+        self.findings.known_or(entries, keys, called, |key| foreign::meant(key, keys));
     }
 
     pub(super) fn text(&mut self, node: &Node) -> Option<Named> {
@@ -125,7 +144,12 @@ impl Reader<'_> {
     pub(super) fn name(&mut self, name: &Named) {
         if !has_form(&name.text) {
             let message = format!("`{}` is not a name: letters, digits and `_`, no digit first", name.text);
-            self.error(code::NAME, name.span, message);
+            let word = |c: char| if c.is_alphanumeric() { c } else { '_' };
+            let meant: String = name.text.trim().chars().map(word).collect();
+            let meant =
+                if meant.starts_with(|c: char| c.is_ascii_digit()) { format!("_{meant}") } else { meant };
+            let help = is_name(&meant).then(|| format!("write `{meant}`, here and where it is used"));
+            self.findings.error_help(code::NAME, name.span, message, help);
         } else if RESERVED.contains(&name.text.as_str()) {
             self.error(code::NAME, name.span, format!("`{}` is a word of the language", name.text));
         }
@@ -194,7 +218,7 @@ impl Reader<'_> {
             events,
             channels,
             profiles,
-            input_defaults: input_defaults(entries),
+            defaults: defaults(entries),
             root,
         })
     }
@@ -345,17 +369,36 @@ impl Reader<'_> {
         };
         let Some(text) = self.text(node) else { return Type::Any };
         let Some(ty) = Type::parse(&text.text, &|t| self.types.get(t).cloned()) else {
+            let named = TYPES_ELSEWHERE.iter().find(|(word, _)| text.text.eq_ignore_ascii_case(word));
+            if let Some((_, same)) = named {
+                let message = format!("there is no type `{}`", text.text);
+                self.error_help(
+                    code::DECLARED_TYPE,
+                    text.span,
+                    &message,
+                    &format!("in Armarium this is `{same}`"),
+                );
+                self.findings.remedy(Remedy::replace(text.span, *same));
+                return Type::Any;
+            }
             let candidates = Type::NAMES.iter().copied().chain(self.types.keys().map(String::as_str));
-            let help = match text.text.split_once([' ', '<', '(']) {
-                Some((_, unit)) if Unit::parse(unit.trim_end_matches(['>', ')'])).is_ok() => {
-                    let unit = unit.trim_end_matches(['>', ')']);
-                    format!("a number with a unit is `{{type: float, unit: {unit}}}`")
-                }
-                _ => format!("types are {}", Type::NAMES.join(", ")),
+            let unit =
+                text.text.split_once([' ', '<', '(']).map(|(_, unit)| unit.trim_end_matches(['>', ')']));
+            let with_unit = unit.filter(|unit| Unit::parse(unit).is_ok());
+            let with_unit = with_unit.map(|unit| format!("{{type: float, unit: {unit}}}"));
+            let help = match &with_unit {
+                Some(written) => format!("a number with a unit is `{written}`"),
+                None => format!("types are {}", Type::NAMES.join(", ")),
             };
             let message = format!("there is no type `{}`", text.text);
             let at = (text.span, text.text.as_str());
             self.findings.unknown(code::DECLARED_TYPE, at, message, candidates, Some(help));
+            // Where the type stands alone, the whole declaration can.
+            if let (Some(written), [(key, _)]) = (with_unit, entries)
+                && key.span == text.span
+            {
+                self.findings.remedy(Remedy::replace(text.span, written));
+            }
             return Type::Any;
         };
         self.type_uses.extend(named_types(&text, &self.types, &self.findings.source.text));
@@ -388,7 +431,7 @@ impl Reader<'_> {
     pub(super) fn duration(&mut self, node: &Node) -> Option<f64> {
         let seconds = literal(node, &Type::Duration, self.findings)?.as_f64();
         if seconds.is_some_and(|seconds| seconds < 0.0) {
-            self.error(code::VALUE, node.span, "a duration is not negative");
+            negative_time(node, self.findings);
             return None;
         }
         seconds
@@ -420,11 +463,14 @@ fn declared(entries: &Entries) -> Vec<(Section, Named)> {
     [Section::Inputs, Section::Outputs, Section::Locals, Section::Types].into_iter().flat_map(of).collect()
 }
 
-/// Where the defaults of inputs stand.
-fn input_defaults(entries: &Entries) -> Vec<(String, Span)> {
-    let Some(Yaml::Map(inputs)) = get(entries, "inputs").map(|node| &node.value) else { return Vec::new() };
+/// Where the defaults of inputs and locals stand.
+fn defaults(entries: &Entries) -> Vec<(String, Span)> {
     let default = |(name, node): &(Named, Node)| Some((name.text.clone(), node.get("default")?.span));
-    inputs.iter().filter_map(default).collect()
+    let of = |section: &str| match get(entries, section).map(|node| &node.value) {
+        Some(Yaml::Map(declared)) => declared.iter().filter_map(default).collect(),
+        _ => Vec::new(),
+    };
+    ["inputs", "locals"].into_iter().flat_map(of).collect()
 }
 
 /// The types of the chart that a type's text names, as in `list<Mood>`.

@@ -1,11 +1,26 @@
 //! From the YAML tree to the model: states with their transitions, watches and actions.
 
-use armarium_source::yaml::{Entries, Named, Node, Yaml};
-use armarium_source::{Remedy, Span, code};
+use std::sync::Arc;
 
-use super::forms;
+use armarium_source::yaml::{Entries, Named, Node, Yaml};
+use armarium_source::{Edit, Remedy, Span, code};
+
 use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
 use super::read::{MAX_LEVELS, Reader, get, only_known};
+use super::{foreign, forms};
+
+/// Where a failure leads, or else the first transition.
+fn only_target(entries: &Entries) -> Option<String> {
+    let transitions = match get(entries, "transitions").map(|node| &node.value) {
+        Some(Yaml::Map(transitions)) => transitions,
+        _ => return None,
+    };
+    let target =
+        |node: &Node| if let Yaml::String(target) = &node.value { Some(target.clone()) } else { None };
+    get(transitions, "failure")
+        .and_then(target)
+        .or_else(|| transitions.iter().find_map(|(_, node)| target(node)))
+}
 
 fn actions() -> Vec<&'static str> {
     forms::ACTIONS.iter().map(|key| key.name).collect()
@@ -68,6 +83,10 @@ impl Reader<'_> {
             .iter()
             .filter(|(k, _)| KINDS.contains(&k.text.as_str()) && !(root && k.text == "statechart"))
             .collect();
+        let flag = |key: &Named, node: &Node| key.text == "parallel" && matches!(node.value, Yaml::Bool(_));
+        if let Some((_, node)) = given.iter().find(|(key, node)| flag(key, node)) {
+            return self.parallel_as_a_flag(node, entries, level);
+        }
         if let [(first, _), (second, _), ..] = given.as_slice() {
             let message = format!("a state is one thing: it has both `{}` and `{}`", first.text, second.text);
             self.error(code::KIND, second.span, message);
@@ -139,6 +158,22 @@ impl Reader<'_> {
         }
     }
 
+    /// `parallel: true` beside `states`: other languages have a flag.
+    fn parallel_as_a_flag(&mut self, flag: &Node, entries: &Entries, level: usize) -> Kind {
+        let help = "write `parallel:` for `states:`; all regions are entered, so that there is no `initial`";
+        self.error_help(code::FORM, flag.span, "the regions stand under `parallel`", help);
+        let key = |name: &str| entries.iter().find(|(key, _)| key.text == name);
+        let Some((states, regions)) = key("states") else { return Kind::Atomic };
+        let source = Arc::clone(&self.findings.source);
+        let removed = ["parallel", "initial"].into_iter().filter_map(key);
+        let mut edits: Vec<Edit> =
+            removed.flat_map(|(key, _)| Remedy::Remove(key.span).edits(&source)).collect();
+        edits.push(Edit { span: states.span, text: "parallel".into() });
+        edits.sort_by_key(|edit| edit.span.start);
+        self.findings.remedy(Remedy::Replace(edits));
+        Kind::Parallel(self.states(regions, level))
+    }
+
     /// `final: true` and the like: other languages have a flag, and the outcome elsewhere.
     fn form_of_final(&mut self, node: &Node) {
         let outcome = if matches!(node.value, Yaml::Bool(false)) { "failure" } else { "success" };
@@ -195,6 +230,7 @@ impl Reader<'_> {
         if let Yaml::Int(times) = node.value {
             let help = format!("write `retry: {{times: {times}, wait: 1s}}`");
             self.error_help(code::FORM, node.span, "`retry` says how often and how long after", &help);
+            self.findings.remedy(Remedy::replace(node.span, format!("{{times: {times}, wait: 1s}}")));
             return None;
         }
         let entries = self.entries(node);
@@ -237,12 +273,21 @@ impl Reader<'_> {
         let Some(node) = get(entries, "after") else { return Vec::new() };
         let mut result = Vec::new();
         match &node.value {
+            Yaml::List(items) if items.iter().any(|item| !matches!(item.value, Yaml::Map(_))) => {
+                let message = "`after` says where it leads when the time is over";
+                self.pair_as_a_list(node, items, message, "after");
+            }
             Yaml::List(items) => {
                 for item in items {
                     let form = self.entries(item);
                     self.known(form, forms::TIMED_TRANSITION, "a timed transition");
-                    let message = "a timed transition needs `for: duration`";
-                    let Some(delay) = self.required(form, "for", item.span, message) else { continue };
+                    let Some(delay) = get(form, "for") else {
+                        if only_known(form, forms::TIMED_TRANSITION) {
+                            let message = "a timed transition needs `for: duration`";
+                            self.error(code::MISSING_KEY, item.span, message);
+                        }
+                        continue;
+                    };
                     let mut transition = self.transition(item, None, true);
                     transition.delay = Some(delay.clone());
                     result.push(transition);
@@ -251,13 +296,18 @@ impl Reader<'_> {
             Yaml::String(_) | Yaml::Int(_) | Yaml::Float(_) => {
                 let written = self.findings.source.text.get(node.span.start..node.span.end).unwrap_or("5s");
                 // A time below 0 is a second mistake.
-                let help = format!("write `after: {{{}: Target}}`", written.trim().trim_start_matches('-'));
-                self.error_help(
-                    code::FORM,
-                    node.span,
-                    "`after` says where it leads when the time is over",
-                    &help,
-                );
+                let written = written.trim().trim_start_matches('-').to_owned();
+                let pair = written.split_once("->").or_else(|| written.split_once("=>"));
+                let (time, target) = match pair {
+                    Some((time, target)) => (time.trim(), Some(target.trim().to_owned())),
+                    None => (written.as_str(), only_target(entries)),
+                };
+                let help = format!("write `after: {{{time}: {}}}`", target.as_deref().unwrap_or("Target"));
+                let message = "`after` says where it leads when the time is over";
+                self.error_help(code::FORM, node.span, message, &help);
+                if let Some(target) = target {
+                    self.findings.remedy(Remedy::replace(node.span, format!("{{{time}: {target}}}")));
+                }
             }
             _ => {
                 for (key, node) in self.entries(node) {
@@ -277,8 +327,19 @@ impl Reader<'_> {
         let mut result = Vec::new();
         // A list where the order of different events matters: `[{event, target, ...}]`.
         if let Yaml::List(items) = &node.value {
+            if items.iter().any(|item| !matches!(item.value, Yaml::Map(_))) {
+                self.pair_as_a_list(node, items, "transitions stand under their events", "transitions");
+                return result;
+            }
             for item in items {
                 let form = self.entries(item);
+                if let [(event, to)] = form
+                    && !only_known(form, forms::EVENT_TRANSITION)
+                    && foreign::meant(&event.text, forms::EVENT_TRANSITION).is_none()
+                {
+                    self.event_as_a_key(event, to);
+                    continue;
+                }
                 self.known(form, forms::EVENT_TRANSITION, "a transition");
                 match get(form, "event").map(|n| self.text(n)) {
                     Some(Some(event)) => {
@@ -286,6 +347,7 @@ impl Reader<'_> {
                         result.push(self.transition(item, Some(&event), true));
                     }
                     Some(None) => {}
+                    None if !only_known(form, forms::EVENT_TRANSITION) => {}
                     None => self.error(code::MISSING_KEY, item.span, "a transition needs `event: name` here"),
                 }
             }
@@ -296,6 +358,46 @@ impl Reader<'_> {
             result.extend(self.transition_list(node, Some(event)));
         }
         result
+    }
+
+    /// `[5s, Done]` where `{5s: Done}` is meant.
+    fn pair_as_a_list(&mut self, node: &Node, items: &[Node], message: &str, key: &str) {
+        let source = Arc::clone(&self.findings.source);
+        let written = |node: &Node| source.text.get(node.span.start..node.span.end).map(str::trim);
+        let pair = match items {
+            [what, Node { value: Yaml::String(target), .. }]
+                if !matches!(what.value, Yaml::Map(_) | Yaml::List(_)) =>
+            {
+                written(what).map(|what| format!("{{{what}: {target}}}"))
+            }
+            _ => None,
+        };
+        let example = if key == "after" { "{5s: Target}" } else { "{event: Target}" };
+        let help = format!("write `{key}: {}`", pair.as_deref().unwrap_or(example));
+        self.error_help(code::FORM, node.span, message, &help);
+        let brackets = source.layout().brackets.iter().find(|b| b.open == node.span.start);
+        if let (Some(pair), Some(close)) = (pair, brackets.and_then(|brackets| brackets.close)) {
+            self.findings.remedy(Remedy::replace(Span { start: node.span.start, end: close + 1 }, pair));
+        }
+    }
+
+    /// `[{go: Done}]` where `{go: Done}` is meant, or `[{event: go, target: Done}]`.
+    fn event_as_a_key(&mut self, event: &Named, to: &Node) {
+        let target = match &to.value {
+            Yaml::String(target) => target.as_str(),
+            _ => "Target",
+        };
+        let right = format!("event: {}, target: {target}", event.text);
+        let message = "in a list, a transition names its event";
+        let help =
+            format!("write `{{{right}}}`, or all transitions as a map: `{{{}: {target}}}`", event.text);
+        self.error_help(code::FORM, event.span, message, &help);
+        if let Yaml::String(_) = to.value {
+            let braces = self.findings.source.text[..event.span.start].trim_end().ends_with('{');
+            let span = Span { start: event.span.start, end: to.span.end };
+            let written = if braces { right } else { format!("{{{right}}}") };
+            self.findings.remedy(Remedy::replace(span, written));
+        }
     }
 
     fn event_name(&mut self, event: &Named) {
@@ -353,7 +455,7 @@ impl Reader<'_> {
 
     fn action(&mut self, node: &Node) -> Option<Action> {
         let Yaml::Map(entries) = &node.value else {
-            self.form(node, "an action");
+            self.text_as_an_action(node);
             return None;
         };
         let [(key, value)] = entries.as_slice() else {
@@ -393,6 +495,29 @@ impl Reader<'_> {
             }
         };
         Some(Action { span: value.span, kind })
+    }
+
+    /// `log hello` where `{log: hello}` is meant.
+    fn text_as_an_action(&mut self, node: &Node) {
+        let text = if let Yaml::String(text) = &node.value { text.trim() } else { "" };
+        let (word, rest) = text.split_once([' ', ':']).unwrap_or((text, ""));
+        let simple = ["raise", "send", "cancel", "log"].contains(&word) && !rest.trim().is_empty();
+        let rest = rest.trim().trim_matches(['"', '\'']);
+        let right = match word {
+            "log" => format!("{{log: \"{rest}\"}}"),
+            word => format!("{{{word}: {rest}}}"),
+        };
+        let help = match simple {
+            true => format!("write `{right}`"),
+            false => {
+                format!("an action is a map with one key, as `{{log: hello}}`, of {}", actions().join(", "))
+            }
+        };
+        let message = format!("an action is needed here, not {}", node.value.describe());
+        self.error_help(code::FORM, node.span, &message, &help);
+        if simple && !rest.contains(['"', '\\']) {
+            self.findings.remedy(Remedy::replace(node.span, right));
+        }
     }
 
     /// What stands under a key that must be there.

@@ -3,10 +3,10 @@
 use crate::program::{Kind, Program, StateId};
 
 /// An outcome or a watch.
-pub(super) struct Scoped {
+pub(super) struct Scoped<'p> {
     /// The state that it comes from.
     pub(super) state: StateId,
-    pub(super) name: String,
+    pub(super) name: &'p str,
     /// Whether only that state's own transitions may take it.
     pub(super) own_only: bool,
     pub(super) watch: bool,
@@ -15,11 +15,9 @@ pub(super) struct Scoped {
 }
 
 /// All of a program.
-pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
+pub(super) fn scoped(program: &Program) -> Vec<Scoped<'_>> {
     let mut all = Vec::new();
-    let mut add = |state: StateId, name: &str, own_only: bool, watch: bool, at: Option<StateId>| {
-        all.push(Scoped { state, name: name.to_owned(), own_only, watch, at });
-    };
+    let mut add = |state, name, own_only, watch, at| all.push(Scoped { state, name, own_only, watch, at });
     // The end of a chart's inside is that of the state that uses it.
     let user = |id: StateId| match program.state(id) {
         root if root.chart_root => root.parent.unwrap_or(0),

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_source::yaml::{Named, Node, Yaml};
-use armarium_source::{Finding, Findings, Remedy, Severity, Span, code};
+use armarium_source::{Edit, Entry, Finding, Findings, Remedy, Severity, Span, code};
+use armarium_values::expr::nearest;
 use armarium_values::{Type, Value};
 
 use super::flatten::Tree;
@@ -24,15 +25,17 @@ pub(super) fn suspicious(program: &Program, tree: &Tree<'_>, library: &Library) 
     search.loose_limits();
     search.restless();
     let mut findings = search.findings;
-    let taken = Taken::of(program);
-    let given = outputs(tree);
+    let reached = reached(program);
+    let taken = Taken::of(program, &reached);
+    let mut uses = uses(tree, &reached);
     for chart in library.charts.values() {
-        findings.extend(written(chart, &taken, given.get(chart.name.as_str())));
+        let used = uses.remove(chart.name.as_str()).unwrap_or_default();
+        findings.extend(written(chart, &taken, &used));
     }
     findings
 }
 
-/// The events that transitions take.
+/// The events that transitions of states take that can be reached.
 #[derive(Default)]
 struct Taken<'p> {
     exact: BTreeSet<&'p str>,
@@ -40,9 +43,9 @@ struct Taken<'p> {
 }
 
 impl<'p> Taken<'p> {
-    fn of(program: &'p Program) -> Self {
+    fn of(program: &'p Program, reached: &[bool]) -> Self {
         let mut taken = Self::default();
-        for transition in &program.transitions {
+        for transition in program.transitions.iter().filter(|t| reached[t.source as usize]) {
             match &transition.pattern {
                 Pattern::None => {}
                 Pattern::Exact(name) => {
@@ -60,16 +63,26 @@ impl<'p> Taken<'p> {
     }
 }
 
-/// What states give, by the chart that they are written in: `State.output`.
-fn outputs<'t>(tree: &'t Tree<'_>) -> BTreeMap<&'t str, BTreeSet<String>> {
-    let mut given: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+/// What is known of the states of a chart, wherever it is used.
+#[derive(Default)]
+struct Used {
+    /// What they give: `State.output`.
+    given: BTreeSet<String>,
+    /// Where the names of those stand that can be reached.
+    reached: BTreeSet<usize>,
+}
+
+/// The uses of charts, by their names.
+fn uses<'t>(tree: &'t Tree<'_>, reached: &[bool]) -> BTreeMap<&'t str, Used> {
+    let mut uses: BTreeMap<&str, Used> = BTreeMap::new();
     for (id, flat) in (0..).zip(&tree.states).skip(1) {
-        let names = flat.outputs.iter().map(|(output, ..)| format!("{}.{output}", flat.name()));
-        if !flat.outputs.is_empty() {
-            given.entry(tree.chart_of(id)).or_default().extend(names);
+        let used = uses.entry(tree.chart_of(id)).or_default();
+        used.given.extend(flat.outputs.iter().map(|(output, ..)| format!("{}.{output}", flat.name())));
+        if reached[id as usize] {
+            used.reached.insert(flat.model.name.span.start);
         }
     }
-    given
+    uses
 }
 
 struct Search<'a, 'l> {
@@ -228,6 +241,11 @@ impl Search<'_, '_> {
                             message,
                             "add `if`, or wait with `after`",
                         );
+                        let waits = self.after_for_always(next);
+                        self.findings
+                            .last_mut()
+                            .into_iter()
+                            .for_each(|finding| finding.remedy = waits.clone());
                     }
                     break;
                 }
@@ -238,6 +256,19 @@ impl Search<'_, '_> {
             }
             way.iter().for_each(|state| followed[*state as usize] = true);
         }
+    }
+
+    /// `after: {1s: Target}` in the place of `always: Target`.
+    fn after_for_always(&self, state: StateId) -> Option<Remedy> {
+        let flat = self.tree.state(state);
+        let [target] = &flat.model.always.first()?.targets[..] else { return None };
+        let source = &self.tree.sources[flat.source as usize];
+        let written = |entry: &&Entry| entry.value == Some(target.span.start);
+        let key = source.layout().entries.iter().find(written).filter(|entry| {
+            !entry.item && source.text.get(entry.key.start..entry.key.end) == Some("always")
+        })?;
+        let edits = [(key.key, "after".to_owned()), (target.span, format!("{{1s: {}}}", target.text))];
+        Some(Remedy::Replace(edits.into_iter().map(|(span, text)| Edit { span, text }).collect()))
     }
 
     /// The state that is active at once after `state` was entered, where that is certain.
@@ -260,9 +291,9 @@ impl Search<'_, '_> {
 }
 
 /// What is suspicious in a chart as it is written.
-fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, given: Option<&'p BTreeSet<String>>) -> Vec<Finding> {
+fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, used: &'p Used) -> Vec<Finding> {
     let findings = Findings::new(Arc::clone(&chart.source));
-    let mut found = Written { findings, chart, assigned: BTreeSet::new(), taken, given };
+    let mut found = Written { findings, chart, assigned: BTreeSet::new(), lost: false, taken, used };
     found.state(&chart.root);
     found.defaults();
     for time in chart.inputs.iter().chain(&chart.locals).filter(|declared| declared.ty == Type::Duration) {
@@ -277,8 +308,12 @@ fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, given: Option<&'p BTreeSe
         if output.default.is_none() && !found.assigned.contains(&output.name) {
             let at = place_of(chart, &[Section::Outputs], &output.name);
             let message = format!("nothing sets the output `{}`", output.name);
-            let help = format!("set it with `assign: {{outputs.{}: ...}}`", output.name);
+            let help = format!("set it with `assign: {{outputs.{}: ...}}`, or remove it", output.name);
             found.findings.add(Severity::Warning, code::UNSET, at, message, Some(help));
+            // Where nothing reads it, and no state sets it that cannot be reached.
+            if !chart.source.text.contains(&format!("outputs.{}", output.name)) {
+                found.findings.remedy(Remedy::Remove(at));
+            }
         }
     }
     found.findings.list
@@ -295,13 +330,15 @@ struct Written<'p> {
     chart: &'p Chart,
     /// Outputs that some action sets.
     assigned: BTreeSet<String>,
+    /// Whether what is read stands in a state that cannot be reached.
+    lost: bool,
     taken: &'p Taken<'p>,
-    /// What states of the chart give.
-    given: Option<&'p BTreeSet<String>>,
+    used: &'p Used,
 }
 
 impl Written<'_> {
     fn state(&mut self, state: &model::State) {
+        let lost = std::mem::replace(&mut self.lost, !self.used.reached.contains(&state.name.span.start));
         self.values(&state.with);
         self.actions(&state.enter);
         self.actions(&state.exit);
@@ -315,13 +352,14 @@ impl Written<'_> {
             self.actions(&entry.actions);
         }
         state.kind.children().iter().for_each(|child| self.state(child));
+        self.lost = lost;
     }
 
     fn actions(&mut self, actions: &[Action]) {
         for action in actions {
             match &action.kind {
                 ActionKind::Assign(entries) => {
-                    for (name, _) in entries {
+                    for (name, _) in entries.iter().filter(|_| !self.lost) {
                         let output = name.text.strip_prefix("outputs.").unwrap_or(&name.text);
                         self.assigned.insert(output.split('.').next().unwrap_or(output).to_owned());
                     }
@@ -352,8 +390,13 @@ impl Written<'_> {
     fn heard(&mut self, event: &Named) {
         if !self.taken.takes(&event.text) {
             let message = format!("nobody takes the event `{}`", event.text);
-            let help = format!("add `transitions: {{{}: ...}}` where it matters", event.text);
+            let near = nearest(&event.text, self.taken.exact.iter().copied());
+            let help = match near {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => format!("add `transitions: {{{}: ...}}` where it matters", event.text),
+            };
             self.findings.add(Severity::Warning, code::UNHEARD, event.span, message, Some(help));
+            near.into_iter().for_each(|near| self.findings.remedy(Remedy::replace(event.span, near)));
         }
     }
 
@@ -402,7 +445,7 @@ impl Written<'_> {
 
     /// Whether a name is what a state of the chart gives.
     fn gives(&self, name: &str) -> bool {
-        self.given.is_some_and(|given| given.contains(name))
+        self.used.given.contains(name)
     }
 
     /// Defaults are literals: what looks like an expression there stays a text.
@@ -480,7 +523,7 @@ fn variable_in_brackets(text: &str) -> Option<(&str, &str)> {
 }
 
 /// `inputs.force`, `channels.wrist.push`.
-fn is_path(text: &str) -> bool {
+pub(super) fn is_path(text: &str) -> bool {
     let Some((first, rest)) = text.split_once('.') else { return false };
     matches!(first, "inputs" | "locals" | "outputs" | "channels" | "event")
         && rest.split('.').all(super::read::is_name)

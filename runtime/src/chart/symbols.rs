@@ -194,14 +194,12 @@ impl Collector {
         let mut found = self.0.into_inner();
         found.sort_by(|a, b| {
             let key = |r: &Reference| (r.span.start, r.span.end);
-            (&a.source.path, key(a), &a.symbol, b.definition).cmp(&(
-                &b.source.path,
-                key(b),
-                &b.symbol,
-                a.definition,
-            ))
+            let definitions_first = || b.definition.cmp(&a.definition);
+            let by_place = || key(a).cmp(&key(b)).then_with(|| a.symbol.cmp(&b.symbol));
+            a.source.by_path(&b.source).then_with(by_place).then_with(definitions_first)
         });
-        found.dedup_by(|a, b| a.source.path == b.source.path && a.span == b.span && a.symbol == b.symbol);
+        found
+            .dedup_by(|a, b| a.span == b.span && a.symbol == b.symbol && a.source.by_path(&b.source).is_eq());
         found
     }
 }

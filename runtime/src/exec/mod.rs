@@ -20,7 +20,7 @@ use std::time::Duration;
 use armarium_values::Value;
 use futures::future::BoxFuture;
 use parking_lot::Mutex;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
@@ -39,7 +39,7 @@ use watchdog::Watchdog;
 
 pub use crate::engine::RunResult;
 pub use chart_skill::{ChartSkill, Stop};
-pub use remote_events::{DeliveryError, Peers, RemoteEvent, Subscribers, Transport};
+pub use remote_events::{DeliveryError, Peers, Raised, RemoteEvent, Subscribers, Transport};
 pub use sink::TraceSink;
 
 /// Largest number of messages in the engine's queue; senders wait when it is full.
@@ -100,7 +100,14 @@ impl Controller {
     /// Raises an event that all active states see. Returns false if the queue is full or the run has ended.
     #[must_use = "an event that the queue had no room for was not raised"]
     pub fn raise(&self, name: impl Into<String>, data: Value) -> bool {
-        self.queue.try_send(Message::Event { name: name.into(), data }).is_ok()
+        self.queue.try_send(Message::Event { name: name.into(), data, answer: None }).is_ok()
+    }
+
+    /// As [`Controller::raise`]; gives who will say why the event changed nothing, if it did not.
+    fn offer(&self, name: &str, data: Value) -> Option<oneshot::Receiver<Option<String>>> {
+        let (answer, answered) = oneshot::channel();
+        let message = Message::Event { name: name.to_owned(), data, answer: Some(answer) };
+        self.queue.try_send(message).is_ok().then_some(answered)
     }
 
     /// Says in the trace that an event was refused to its sender. Where too much waits already, it is not said.
@@ -300,15 +307,21 @@ impl Executor {
 
     fn message(&mut self, message: Message) {
         match message {
-            Message::Event { name, data } => self.turn(Some(Input::Event { name, data })),
+            Message::Event { name, data, answer } => {
+                let dropped = self.turn(Some(Input::Event { name, data }));
+                // Nobody may wait any more.
+                let _ = answer.is_none_or(|answer| answer.send(dropped).is_ok());
+            }
             Message::Dropped { name, reason, error } => {
                 self.trace(TraceItem::Dropped { name, reason });
                 let name = "error.communication".to_owned();
-                error.into_iter().for_each(|data| self.turn(Some(Input::Event { name: name.clone(), data })));
+                if let Some(data) = error {
+                    self.turn(Some(Input::Event { name, data }));
+                }
             }
             Message::Skill { activation, report } => self.report(activation, report),
-            Message::Hangs { reason } => self.turn(Some(Input::Abort { reason })),
-            Message::Stopped { reason } => self.turn(Some(Input::Stop { reason })),
+            Message::Hangs { reason } => drop(self.turn(Some(Input::Abort { reason }))),
+            Message::Stopped { reason } => drop(self.turn(Some(Input::Stop { reason }))),
         }
     }
 
@@ -317,7 +330,7 @@ impl Executor {
         let Some(state) = self.running.get(&activation).map(Running::state) else { return };
         let path = || self.engine.program().path(state).to_owned();
         match report {
-            Report::Event { name, data } => self.turn(Some(Input::Event { name, data })),
+            Report::Event { name, data } => drop(self.turn(Some(Input::Event { name, data }))),
             Report::Dropped { name, count } => {
                 let reason = format!("`{}` raised {count} more than may wait", path());
                 self.trace(TraceItem::Dropped { name, reason });
@@ -337,9 +350,14 @@ impl Executor {
         }
     }
 
-    /// One turn of the engine; `None` is its start. A sink also receives the input and the sensor readings.
-    fn turn(&mut self, input: Option<Input>) {
+    /// One turn of the engine; `None` is its start. A sink also receives the input and the sensor readings. Returns why an event
+    /// that is the input changed nothing, if that is so and traced.
+    fn turn(&mut self, input: Option<Input>) -> Option<String> {
         self.last_turn = self.now;
+        let event = match &input {
+            Some(Input::Event { name, .. }) => Some(name.clone()),
+            _ => None,
+        };
         let mut effects = Vec::new();
         let program = Arc::clone(self.engine.program());
         let hub = Hub { channels: &self.channels, names: program.channels() };
@@ -356,6 +374,12 @@ impl Executor {
                 Some(input) => self.engine.handle(input, &hub, &mut effects),
             }
         }
+        let dropped = effects.iter().find_map(|effect| match effect {
+            Effect::Trace(TraceItem::Dropped { name, reason }) if Some(name) == event.as_ref() => {
+                Some(reason.clone())
+            }
+            _ => None,
+        });
         for effect in effects {
             if let Some(effect) = self.agenda.take(effect, &program, self.now) {
                 self.act(effect);
@@ -363,6 +387,7 @@ impl Executor {
         }
         self.agenda.turned();
         self.following.follow(self.agenda.channels(), program.channels(), &self.channels);
+        dropped
     }
 
     /// Carries out the effects that the agenda does not handle.

@@ -9,7 +9,7 @@ use std::time::Duration;
 use armarium_values::Value;
 use futures::future::{BoxFuture, join_all};
 use parking_lot::Mutex;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -21,6 +21,8 @@ use crate::program::{EventRefused, Program};
 const MAX_AGENTS: usize = 64;
 /// Largest number of events that wait for one agent.
 const MAX_WAITING: usize = 64;
+/// How long a sender waits for whether a chart takes its event: less than the lease after which nobody answers.
+const ANSWER_TIMEOUT: Duration = Duration::from_millis(200);
 /// How long the end of a run waits for the delivery of its events.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -72,6 +74,14 @@ pub enum DeliveryError {
     /// The chart does not take it.
     #[error(transparent)]
     Refused(#[from] EventRefused),
+    /// It has arrived, and changed nothing: no chart takes it as it is now.
+    #[error("`{agent}` has it, but {reason}")]
+    Dropped {
+        /// The agent.
+        agent: String,
+        /// Why.
+        reason: String,
+    },
     /// The task that delivers it has ended.
     #[error("it was lost: {0}")]
     Lost(tokio::task::JoinError),
@@ -119,6 +129,15 @@ struct Runs {
     by_number: BTreeMap<u64, (Arc<Program>, Controller)>,
 }
 
+/// What became of an event that was raised in running charts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Raised {
+    /// How many charts received it.
+    pub charts: u32,
+    /// Why it changed nothing, where that is known of all of them.
+    pub dropped: Option<String>,
+}
+
 /// The entry of a run among the subscribers, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Subscription {
@@ -146,13 +165,38 @@ impl Subscribers {
         Subscription { subscribers: self.clone(), number }
     }
 
-    /// Raises an event in the running charts, or only in those of one name. Returns how many charts received it.
+    /// Raises an event in the running charts, or only in those of one name, and waits for a short time until it is known whether
+    /// they take it.
     ///
     /// # Errors
-    /// [`DeliveryError::QueueFull`]; [`DeliveryError::Refused`] when charts run and none of them takes it.
-    pub fn raise(&self, chart: Option<&str>, event: &str, data: &Value) -> Result<u32, DeliveryError> {
+    /// [`DeliveryError::QueueFull`]; [`DeliveryError::Refused`] when charts run and none of them knows it.
+    pub async fn raise(
+        &self,
+        chart: Option<&str>,
+        event: &str,
+        data: &Value,
+    ) -> Result<Raised, DeliveryError> {
+        let answers = self.raise_in_all(chart, event, data)?;
+        let charts = u32::try_from(answers.len()).unwrap_or(u32::MAX);
+        let answered = join_all(answers.into_iter().map(|answer| timeout(ANSWER_TIMEOUT, answer))).await;
+        // One that does not answer yet may take it.
+        let dropped = |answer: &Result<Result<Option<String>, _>, _>| match answer {
+            Ok(Ok(dropped)) => dropped.clone(),
+            _ => None,
+        };
+        let reasons: Option<Vec<String>> = answered.iter().map(dropped).collect();
+        Ok(Raised { charts, dropped: reasons.and_then(|reasons| reasons.into_iter().next()) })
+    }
+
+    /// As [`Self::raise`]; gives what each chart that received it will answer.
+    fn raise_in_all(
+        &self,
+        chart: Option<&str>,
+        event: &str,
+        data: &Value,
+    ) -> Result<Vec<oneshot::Receiver<Option<String>>>, DeliveryError> {
         self.runs(|runs| {
-            let (mut received, mut refused) = (0, None);
+            let (mut received, mut refused) = (Vec::new(), None);
             for (program, controller) in runs.by_number.values() {
                 if chart.is_some_and(|chart| chart != program.name()) {
                     continue;
@@ -162,14 +206,14 @@ impl Subscribers {
                     refused = Some(error);
                     continue;
                 }
-                if !controller.raise(event, data.clone()) {
+                let Some(answer) = controller.offer(event, data.clone()) else {
                     let chart = program.name().to_owned();
                     return Err(DeliveryError::QueueFull { chart, event: event.into() });
-                }
-                received += 1;
+                };
+                received.push(answer);
             }
             match refused {
-                Some(error) if received == 0 => Err(error.into()),
+                Some(error) if received.is_empty() => Err(error.into()),
                 _ => Ok(received),
             }
         })
@@ -240,7 +284,11 @@ async fn deliver_all(
     queue: mpsc::Sender<Message>,
 ) {
     while let Some(sent) = events.recv().await {
-        if let Err(why) = transport.deliver(sent.clone()).await {
+        // What arrives and is not taken is no failure of the sender: nobody waits for it there now.
+        let delivered = transport.deliver(sent.clone()).await;
+        if let Err(why) = delivered
+            .or_else(|why| if matches!(why, DeliveryError::Dropped { .. }) { Ok(()) } else { Err(why) })
+        {
             // If the run has ended, there is no receiver for this message.
             let _ = queue.send(undelivered(&sent, &why.to_string())).await.is_ok();
         }

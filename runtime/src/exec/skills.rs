@@ -1,7 +1,7 @@
 //! The skills of one run: each is a task whose reports go into the run's queue.
 
 use armarium_values::Value;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tokio::task::AbortHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -12,8 +12,8 @@ use crate::program::StateId;
 /// A message in the executor's queue.
 #[derive(Debug)]
 pub(super) enum Message {
-    /// An event from outside.
-    Event { name: String, data: Value },
+    /// An event from outside. Who waits for it is told why it changed nothing, if it did not.
+    Event { name: String, data: Value, answer: Option<oneshot::Sender<Option<String>>> },
     /// An event that could not be delivered to another agent: the data of its `error.communication`; or that came from outside and
     /// was refused to its sender.
     Dropped { name: String, reason: String, error: Option<Value> },

@@ -46,6 +46,17 @@ impl Agents {
         Self { session, caller: caller.to_owned(), threads }
     }
 
+    /// The names of the agents that run now.
+    ///
+    /// # Errors
+    /// [`SessionError`] when the session has ended.
+    pub async fn running(&self) -> Result<BTreeSet<String>, SessionError> {
+        let pattern = keys::alive_pattern(None, Some("agent"));
+        let pattern = pattern.map_err(|error| SessionError::Config { what: error.to_string() })?;
+        let alive = self.session.all_alive(&pattern, LEASE).await?;
+        Ok(alive.iter().filter_map(|key| Some(key.split_once('/')?.0.to_owned())).collect())
+    }
+
     /// Queries the `agent/Name` that charts use, and enters in the registry what exists and why something cannot be
     /// used. Agents that do not answer are queried again until `timeout` has passed.
     pub async fn resolve(&self, names: &BTreeSet<String>, timeout: Duration, registry: &mut Registry) {

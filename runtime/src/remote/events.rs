@@ -14,7 +14,7 @@ use super::LEASE;
 use super::agents::Agents;
 use super::serve::{ServeError, respond};
 use super::wire::{EventMessage, EventReceipt, MessageError, answered, packed, unpacked};
-use crate::exec::{DeliveryError, RemoteEvent, Subscribers, Transport};
+use crate::exec::{DeliveryError, Raised, RemoteEvent, Subscribers, Transport};
 
 /// Largest number of waiting queries.
 const MAX_QUERIES: usize = 256;
@@ -61,6 +61,9 @@ impl Agents {
             match receipts.map_err(DeliveryError::transport)?.as_slice() {
                 [] if left.is_zero() => return Err(DeliveryError::NoAgent { agent }),
                 [] => sleep(RETRY_INTERVAL.min(left)).await,
+                [EventReceipt { dropped: Some(reason), .. }] => {
+                    return Err(DeliveryError::Dropped { agent, reason: reason.clone() });
+                }
                 [one] if one.charts > 0 => return Ok(()),
                 [_] => return Err(DeliveryError::NoChart { agent, chart }),
                 [one, two, ..] => {
@@ -83,25 +86,28 @@ pub async fn receive_events(
 ) -> Result<(), ServeError> {
     let key = keys::event(agent)?;
     let mut questions = session.declare_queryable(key.clone(), MAX_QUERIES).await?;
-    let mut remembered: VecDeque<(String, u32)> = VecDeque::new();
+    let mut remembered: VecDeque<(String, EventReceipt)> = VecDeque::new();
     let instance = session.id();
     while let Some(question) = questions.next().await {
-        let mut receive = || -> Result<EventReceipt, EventError> {
+        let mut receive = async || -> Result<EventReceipt, EventError> {
             let message: EventMessage = unpacked(&question.encoding, &question.payload)?;
-            if let Some((_, charts)) = remembered.iter().find(|(sent, _)| *sent == message.id) {
-                return Ok(EventReceipt { charts: *charts, instance: instance.clone() });
+            if let Some((_, receipt)) = remembered.iter().find(|(sent, _)| *sent == message.id) {
+                return Ok(receipt.clone());
             }
             tracing::debug!(event = %message.name, caller = %message.caller, "another agent sends an event");
-            let charts = subscribers.raise(message.chart.as_deref(), &message.name, &message.data)?;
+            let raised = subscribers.raise(message.chart.as_deref(), &message.name, &message.data).await?;
+            let Raised { charts, dropped } = raised;
+            let receipt = EventReceipt { charts, dropped, instance: instance.clone() };
             if charts > 0 {
                 if remembered.len() >= MAX_REMEMBERED {
                     remembered.pop_front();
                 }
-                remembered.push_back((message.id, charts));
+                remembered.push_back((message.id, receipt.clone()));
             }
-            Ok(EventReceipt { charts, instance: instance.clone() })
+            Ok(receipt)
         };
-        respond(&question, &key, receive()).await;
+        let receipt = receive().await;
+        respond(&question, &key, receipt).await;
     }
     Ok(())
 }
@@ -128,6 +134,7 @@ mod tests {
     use crate::chart::testing::program;
     use crate::exec::{ExecOptions, Executor, Peers, RunResult};
     use crate::remote::tests::pair;
+    use crate::trace::TraceEvent;
 
     /// An agent named `name` that runs charts.
     fn agent(session: &Session, name: &'static str) -> Peers {
@@ -192,6 +199,45 @@ states:
         assert_eq!(result.await.outcome, "success");
         let heard = listening.await.unwrap().outputs["heard"].clone();
         assert_eq!(heard, Value::List((1..=5).map(Value::Int).collect()));
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_no_state_takes_now_is_said_to_the_sender() {
+        let (one, two) = pair().await;
+        let (alice, bob) = (agent(&one, "alice"), agent(&two, "bob"));
+        let chart = "
+statechart: Bob
+events: {first: {}, then: {}}
+initial: A
+states:
+  A: {transitions: {first: B}}
+  B: {transitions: {then: Done}}
+  Done: {final: success}
+";
+        let options = ExecOptions {
+            peers: bob.clone(),
+            sink: Some(Box::new(|_: &TraceEvent| {})),
+            ..ExecOptions::default()
+        };
+        let running = Executor::new(program(chart), Registry::new(), Channels::new(), options).unwrap().run();
+        let listening = tokio::spawn(running);
+        let transport = alice.transport.unwrap();
+        let send = |event: &str| {
+            let (to, event) = ("bob".to_owned(), event.to_owned());
+            transport.deliver(RemoteEvent { to, event, data: Value::Null })
+        };
+        // Until the chart runs.
+        let said = loop {
+            match send("then").await {
+                Err(error @ DeliveryError::Dropped { .. }) => break error.to_string(),
+                Err(_) => tokio::task::yield_now().await,
+                Ok(()) => panic!("no state takes it"),
+            }
+        };
+        assert!(said.starts_with("`bob` has it, but no active state takes it"), "{said}");
+        send("first").await.unwrap();
+        send("then").await.unwrap();
+        assert_eq!(listening.await.unwrap().outcome, "success");
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -12,7 +12,7 @@ use armarium_bus::{Payload, Reply, Schema, codec};
 use armarium_values::{Type, Value};
 use serde::{Deserialize, Serialize};
 
-use crate::skill::{Failure, Limits, Outcome, Parameter, SkillManifest, SkillResult};
+use crate::skill::{DeclaredAt, Failure, Limits, Outcome, Parameter, SkillManifest, SkillResult};
 
 /// What an agent offers under one name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -201,6 +201,9 @@ pub struct EventMessage {
 pub struct EventReceipt {
     /// How many charts received it.
     pub charts: u32,
+    /// Why it changed nothing, where none of them took it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dropped: Option<String>,
     /// The process that answers.
     #[serde(default)]
     pub instance: String,
@@ -326,6 +329,7 @@ impl Manifest {
     pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
         let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
         let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MAX_GRACE) + beyond);
+        skill.declared_at = DeclaredAt::default();
         skill.inputs = self.inputs.iter().map(Parameter::from).collect();
         skill.outputs = self.outputs.iter().map(Parameter::from).collect();
         skill.outcomes.clone_from(&self.outcomes);
@@ -440,7 +444,7 @@ mod tests {
         assert_eq!((status.revision, &status.events[0].data), (0, &Value::Null));
         let event: EventMessage = read(json!({"letter": "x-1", "name": "e"}));
         assert_eq!((event.id.as_str(), &event.data), ("x-1", &Value::Null));
-        let (_, bytes) = packed(&EventReceipt { charts: 2, instance: "p".into() }).unwrap();
+        let (_, bytes) = packed(&EventReceipt { charts: 2, dropped: None, instance: "p".into() }).unwrap();
         let earlier: EventReceipt = unpacked("application/cbor;runtime/heard;v1", &bytes).unwrap();
         assert_eq!(earlier.charts, 2);
     }

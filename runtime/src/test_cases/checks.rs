@@ -16,21 +16,30 @@ use crate::program::{EventRefused, Kind, Program, StateId};
 use crate::skill::{Parameter, SkillManifest};
 use crate::stepping::labels;
 
+/// The programs of a file's chart: with what stands in for charts inside it in all cases, and in each case.
+#[derive(Clone, Debug)]
+pub struct Programs {
+    /// With what stands in in all cases.
+    pub all: Arc<Program>,
+    /// Of each case.
+    pub cases: Vec<Arc<Program>>,
+}
+
 impl TestFile {
-    /// The program of the chart that a file tests, with what stands in for charts inside it.
+    /// The programs of the chart that a file tests, with what stands in for charts inside it.
     ///
     /// # Errors
     /// What is wrong with the chart, and stand-ins for charts that it does not use.
-    pub fn program(
+    pub fn programs(
         &self,
         source: &Arc<Source>,
         folders: &[PathBuf],
         files: &dyn Files,
         registry: &Registry,
         channels: &ChannelSchema,
-    ) -> Result<Arc<Program>, Vec<Finding>> {
+    ) -> Result<Programs, Vec<Finding>> {
         let chart = source.path.parent().unwrap_or(Path::new("")).join(&self.test);
-        let mut library = chart::load_from(&chart, folders, files);
+        let library = chart::load_from(&chart, folders, files);
         let mut findings = Findings::new(Arc::clone(source));
         let unreadable = |finding: &&Finding| finding.code == code::FILE && finding.source.path == chart;
         if let Some(finding) = library.findings.iter().find(unreadable) {
@@ -40,42 +49,66 @@ impl TestFile {
             findings.error_help(code::FILE, at, format!("{}: {}", self.test, finding.message), Some(help));
             return Err(findings.list);
         }
-        let unused = library.stand_in(self.charts.keys());
-        if !unused.is_empty() {
-            let node = yaml::parse(&mut findings);
-            let place = |name: &str| {
-                let charts = node.as_ref().and_then(|node| node.get("charts"));
-                let Some(Yaml::Map(entries)) = charts.map(|charts| &charts.value) else {
-                    return Span::default();
-                };
-                entries.iter().find(|(key, _)| key.text == name).map_or(Span::default(), |(key, _)| key.span)
-            };
-            for name in unused {
-                let message = format!("`charts` stands in for `{name}`, which the chart does not use");
-                findings.error(code::CHART, place(name), message);
+        let mut by_stand_ins: BTreeMap<BTreeSet<&String>, Arc<Program>> = BTreeMap::new();
+        let mut program = |case: Option<usize>| {
+            let own = case.and_then(|case| self.cases.get(case)).map(|case| &case.charts);
+            let names: BTreeSet<&String> =
+                self.charts.keys().chain(own.into_iter().flat_map(BTreeMap::keys)).collect();
+            if let Some(program) = by_stand_ins.get(&names) {
+                return Ok(Arc::clone(program));
             }
-            return Err(findings.list);
+            let mut library = library.clone();
+            let unused = library.stand_in(names.iter().copied());
+            if !unused.is_empty() {
+                return Err(self.unused(source, case, &unused));
+            }
+            let checked = chart::check(&library, registry, channels);
+            let program = checked.program.ok_or(checked.findings)?;
+            by_stand_ins.insert(names, Arc::clone(&program));
+            Ok(program)
+        };
+        let all = program(None)?;
+        let cases = (0..self.cases.len()).map(|case| program(Some(case))).collect::<Result<_, _>>()?;
+        Ok(Programs { all, cases })
+    }
+
+    /// Findings about stand-ins for charts that are not used.
+    fn unused(&self, source: &Arc<Source>, case: Option<usize>, names: &[&String]) -> Vec<Finding> {
+        let mut findings = Findings::new(Arc::clone(source));
+        let node = yaml::parse(&mut findings);
+        let of = |node: &Node, name: &str| {
+            entries(node.get("charts")).iter().find(|(key, _)| key.text == name).map(|(key, _)| key.span)
+        };
+        for name in names {
+            let place = node.as_deref().and_then(|node| {
+                let case = case.and_then(|case| node.get("cases")?.items().get(case));
+                case.and_then(|case| of(case, name)).or_else(|| of(node, name))
+            });
+            let message = format!("`charts` stands in for `{name}`, which the chart does not use");
+            findings.error(code::CHART, place.unwrap_or_default(), message);
         }
-        let checked = chart::check(&library, registry, channels);
-        checked.program.ok_or(checked.findings)
+        findings.list
     }
 
     /// Everything in a file that does not fit its chart, in the order of the text.
-    pub fn check(source: Arc<Source>, program: &Program, registry: &Registry) -> Vec<Finding> {
+    pub fn check(source: Arc<Source>, programs: &Programs, registry: &Registry) -> Vec<Finding> {
         let mut findings = Findings::new(source);
         let Some(node) = yaml::parse(&mut findings) else { return findings.list };
-        let (_, states) = labels(program);
-        let mut check = Check { findings, program, registry, states: &states };
+        let (_, states) = labels(&programs.all);
+        let mut check = Check { findings, program: &programs.all, registry, states: &states };
         check.scripts(node.get("skills"));
         check.scripts(node.get("charts"));
-        for case in node.get("cases").map_or(&[][..], Node::items) {
-            check.scripts(case.get("skills"));
-            check.given(case.get("given"));
-            check.profile(case.get("profile"));
-            case.get("steps").map_or(&[][..], Node::items).iter().for_each(|step| check.step(step));
+        let mut findings = check.findings;
+        let cases = node.get("cases").map_or(&[][..], Node::items);
+        for (case, program) in cases.iter().zip(&programs.cases) {
+            let own_states = (!Arc::ptr_eq(program, &programs.all)).then(|| labels(program).1);
+            let states = own_states.as_ref().unwrap_or(&states);
+            let mut check = Check { findings, program, registry, states };
+            check.case(case);
+            findings = check.findings;
         }
-        check.findings.list.sort_by_key(|finding| finding.span.start);
-        check.findings.list
+        findings.list.sort_by_key(|finding| finding.span.start);
+        findings.list
     }
 }
 
@@ -149,6 +182,14 @@ fn text(node: Option<&Node>) -> Option<(Span, &str)> {
 }
 
 impl Check<'_> {
+    fn case(&mut self, case: &Node) {
+        self.scripts(case.get("skills"));
+        self.scripts(case.get("charts"));
+        self.given(case.get("given"));
+        self.profile(case.get("profile"));
+        case.get("steps").map_or(&[][..], Node::items).iter().for_each(|step| self.step(step));
+    }
+
     fn unknown<'n>(
         &mut self,
         code: &'static str,

@@ -14,7 +14,7 @@ use armarium_source::{Field, Finding, Findings, Rule, Source, code, form};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
-pub use checks::{StepCheck, WrongStep};
+pub use checks::{Programs, StepCheck, WrongStep};
 pub use play::CaseError;
 pub use stand_in::StandInError;
 
@@ -43,6 +43,8 @@ form! {
         pub profile: Option<String> = None;
         /// How skills end in this case.
         pub skills: BTreeMap<String, Script> = BTreeMap::new();
+        /// Charts inside the chart that are stood in for in this case.
+        pub charts: BTreeMap<String, Script> = BTreeMap::new();
         /// What happens, in this order.
         pub steps: Vec<Step> = Vec::new();
     }
@@ -191,6 +193,39 @@ states:
         assert_eq!(played("[{event: go, data: {n: 7}, expect: {outcome: failure}}]"), Ok(()));
         assert_eq!(played("[{event: go, data: {n: 0}}, {after: 1s, expect: {active: [Failed]}}]"), Ok(()));
         assert!(played("[{event: go, data: {n: 0}}, {after: 1s}]").is_err());
+    }
+
+    #[test]
+    fn a_chart_is_stood_in_for_in_one_case() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let inner = "statechart: Inner\nevents: {go: {}}\ninitial: A\nstates:\n  A: {transitions: {go: Done}}\n  Done: {final: success}\n";
+        let outer = "statechart: Outer\ninitial: I\nstates:\n  I: {statechart: Inner, transitions: {success: Done, failure: Failed}}\n  Done: {final: success}\n  Failed: {final: failure}\n";
+        for (name, text) in [("inner.yaml", inner), ("outer.yaml", outer)] {
+            std::fs::write(folder.path().join(name), text).expect("it can be written");
+        }
+        let found = |case: &str| {
+            let text = format!(
+                "test: outer.yaml\ncases:\n- case: a\n  steps: [{{event: go, expect: {{outcome: success}}}}]\n- case: b\n  {case}\n"
+            );
+            let source = Arc::new(Source::new(folder.path().join("outer.test.yaml"), text));
+            let file = TestFile::read(Arc::clone(&source)).expect("it is in order");
+            let (registry, channels) = (Registry::default(), ChannelSchema::default());
+            let programs = file.programs(&source, &[], &armarium_source::Disk, &registry, &channels)?;
+            let findings = TestFile::check(source, &programs, &registry);
+            if !findings.is_empty() {
+                return Err(findings);
+            }
+            let played =
+                file.cases.iter().zip(&programs.cases).map(|(case, program)| file.play(case, program).1);
+            Ok(played.map(|result| result.err().map(|error| error.to_string())).collect::<Vec<_>>())
+        };
+        let passed = Ok(vec![None, None]);
+        assert_eq!(found("charts: {Inner: failure}\n  steps: [{expect: {outcome: failure}}]"), passed);
+        let said = |case: &str| found(case).expect_err("it is wrong")[0].to_string();
+        let unused = said("charts: {Other: failure}\n  steps: []");
+        assert!(unused.contains("outer.test.yaml:6:12") && unused.contains("`Other`"), "{unused}");
+        let inside = said("charts: {Inner: never}\n  steps: [{expect: {active: [A]}}]");
+        assert!(inside.contains("there is no state `A`"), "{inside}");
     }
 
     #[test]

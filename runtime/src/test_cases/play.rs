@@ -128,7 +128,7 @@ pub enum CaseError {
 impl TestFile {
     /// Plays a case of the file. Gives the transitions that were taken, and whether everything was as expected.
     pub fn play(&self, case: &Case, program: &Arc<Program>) -> (Coverage, Result<(), CaseError>) {
-        let scripts = [&case.skills, &self.skills, &self.charts];
+        let scripts = [&case.skills, &self.skills, &case.charts, &self.charts];
         let stepper = inputs(program, case)
             .and_then(|given| Ok(Stepper::new(Arc::clone(program), &given, case.profile.as_deref())?));
         let stepper = match stepper {
@@ -163,8 +163,8 @@ fn inputs(program: &Program, case: &Case) -> Result<BTreeMap<String, Value>, Cas
 struct Player<'p> {
     program: &'p Program,
     stepper: Stepper,
-    /// The case's scripts, then the file's, then those of charts.
-    scripts: [&'p BTreeMap<String, Script>; 3],
+    /// The case's scripts, then the file's; those of skills, then those of charts.
+    scripts: [&'p BTreeMap<String, Script>; 4],
     /// How often the skill of a state was started, by the key of the script.
     starts: BTreeMap<String, usize>,
     /// What comes: by time and number of the start.

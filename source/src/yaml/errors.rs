@@ -1,6 +1,7 @@
 //! Why a text is no YAML, in words for people: the parser says what it did not expect, and mostly a line too late. The usual slips
 //! are looked for in the text around that place; nothing is parsed here.
 
+use crate::remedy::Edit;
 use crate::span::Span;
 
 /// What is wrong, where, and what to do about it.
@@ -9,10 +10,28 @@ pub(crate) struct Slip {
     pub(crate) span: Span,
     pub(crate) message: String,
     pub(crate) help: String,
+    /// What puts it right; nothing where a person has to decide.
+    pub(crate) edits: Vec<Edit>,
+}
+
+impl Slip {
+    /// The same, put right by another text in its place.
+    fn rewritten(mut self, text: impl Into<String>) -> Self {
+        self.edits = vec![Edit { span: self.span, text: text.into() }];
+        self
+    }
+
+    /// The same, put right by texts at some places.
+    fn completed(mut self, insertions: impl IntoIterator<Item = (usize, String)>) -> Self {
+        let edit = |(at, text)| Edit { span: Span { start: at, end: at }, text };
+        self.edits = insertions.into_iter().map(edit).collect();
+        self
+    }
 }
 
 fn slip(start: usize, len: usize, message: impl Into<String>, help: impl Into<String>) -> Option<Slip> {
-    Some(Slip { span: Span { start, end: start + len.max(1) }, message: message.into(), help: help.into() })
+    let span = Span { start, end: start + len.max(1) };
+    Some(Slip { span, message: message.into(), help: help.into(), edits: Vec::new() })
 }
 
 /// The slip in `text` that made the parser stop at byte `at`; `None` where none is recognised.
@@ -148,7 +167,8 @@ fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
                 '}' | ']' => match around.pop() {
                     Some((open, outer)) => entry = Entry { closed: Some((open, c)), ..outer },
                     None if entry.closed.is_some() && at >= from => {
-                        return slip(at, 1, format!("there is one `{c}` too many"), "remove it");
+                        let slip = slip(at, 1, format!("there is one `{c}` too many"), "remove it");
+                        return slip.map(|slip| slip.rewritten(""));
                     }
                     None => {}
                 },
@@ -163,7 +183,14 @@ fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
                             "put a `,` between two entries"
                         };
                         let message = format!("a second `:` in one value, after `{key}`");
-                        return slip(at, 1, message, format!("quote the text if it is one, or {apart}"));
+                        let slip = slip(at, 1, message, format!("quote the text if it is one, or {apart}"))?;
+                        // `go: Done` is an entry, and `look first: then go` a text.
+                        let (begins, ends) = (at - value.len(), value_end(text, at, end, !around.is_empty()));
+                        let named = text[at + 1..ends].trim_start().starts_with(char::is_uppercase);
+                        let (open, close) = if value == key && named { ("{", "}") } else { ("\"", "\"") };
+                        let quotable = !text[begins..ends].contains(['"', '#', '{']);
+                        let insertions = [(begins, open.to_owned()), (ends, close.to_owned())];
+                        return Some(if quotable { slip.completed(insertions) } else { slip });
                     }
                     entry = Entry { colon: Some(at + 1), ..FRESH };
                 }
@@ -172,19 +199,45 @@ fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
                     let what = if "}]".contains(close) { format!("`{close}`") } else { "quote".to_owned() };
                     let help = "put the whole value into one pair of quotes, and texts inside of it into the other kind";
                     let rest = text[at..end].trim_end().len();
-                    return slip(at, rest, format!("text goes on after the closing {what}"), help);
+                    let ends = value_end(text, at, end, !around.is_empty());
+                    let slip = slip(at, rest, format!("text goes on after the closing {what}"), help)?;
+                    let (open, _) = entry.closed.unwrap_or((at, c));
+                    let value = &text[open..ends];
+                    let quote = if value.contains('"') { "'" } else { "\"" };
+                    let whole = !value.contains('#') && !value.contains(quote);
+                    let insertions = [(open, quote.to_owned()), (ends, quote.to_owned())];
+                    return Some(if whole { slip.completed(insertions) } else { slip });
                 }
                 '-' if entry.begins && next.is_whitespace() && around.is_empty() => {}
-                '@' | '`' | '%' if entry.begins && at >= from => {
+                '@' | '`' | '%' | '!' if entry.begins && entry.colon.is_some() && at >= from => {
                     let value = text[at..end].split([',', '}', ']']).next().unwrap_or("").trim_end();
                     let message = format!("a text that begins with `{c}` needs quotes");
-                    return slip(at, value.len(), message, format!("write `\"{value}\"`"));
+                    let quote = if value.contains('"') { '\'' } else { '"' };
+                    let written = format!("{quote}{value}{quote}");
+                    let slip = slip(at, value.len(), message, format!("write `{written}`"))?;
+                    return Some(if value.contains(quote) { slip } else { slip.rewritten(written) });
                 }
                 _ => entry.begins = false,
             }
         }
     }
     None
+}
+
+/// Where a value ends in its line, on from a byte of it: in a map or list between brackets before what comes next there.
+fn value_end(text: &str, from: usize, line_end: usize, flow: bool) -> usize {
+    let mut quote = None;
+    let next = text[from..line_end].find(|c| {
+        match quote {
+            None if c == '"' || c == '\'' => quote = Some(c),
+            Some(open) if c == open => quote = None,
+            None => return flow && matches!(c, ',' | '}' | ']'),
+            Some(_) => {}
+        }
+        false
+    });
+    let end = next.map_or(line_end, |next| from + next);
+    text[..end].trim_end().len()
 }
 
 /// Whether a text of several lines begins after this one: `log: |`.
@@ -220,8 +273,14 @@ fn unclosed(text: &str, at: usize) -> Option<Slip> {
         }
         before = c;
     }
+    let line_end = |start: usize| start + text[start..].lines().next().unwrap_or("").trim_end().len();
     if let Some((start, c)) = quote {
-        return slip(start, 1, "this quote is not closed", format!("add the second `{c}`"));
+        let slip = slip(start, 1, "this quote is not closed", format!("add the second `{c}`"))?;
+        // Between brackets, where the next entry begins or they close.
+        let end = line_end(start);
+        let next = text[start + 1..end].find([',', '}', ']']).filter(|_| !open.is_empty());
+        let at = next.map_or(end, |next| start + 1 + next);
+        return Some(slip.completed([(at, c.to_string())]));
     }
     let (start, c) = *open.last()?;
     let other = if c == '{' { '}' } else { ']' };
@@ -230,7 +289,15 @@ fn unclosed(text: &str, at: usize) -> Option<Slip> {
     if same_line && line.matches(other).count() >= line.matches(c).count() {
         return None;
     }
-    slip(start, 1, format!("this `{c}` is not closed"), format!("add the missing `{other}`"))
+    let slip = slip(start, 1, format!("this `{c}` is not closed"), format!("add the missing `{other}`"))?;
+    // What else is open in the line has the same end.
+    let begun = text[..start].rfind('\n').map_or(0, |newline| newline + 1);
+    let missing = open.iter().rev().take_while(|(at, _)| *at >= begun);
+    let missing: String = missing.map(|(_, c)| if *c == '{' { '}' } else { ']' }).collect();
+    let end = line_end(start);
+    let comment =
+        text[start..end].find(" #").map_or(end, |at| start + text[start..start + at].trim_end().len());
+    Some(slip.completed([(comment, missing)]))
 }
 
 /// A key without its colon makes one long text of what follows.
@@ -245,12 +312,9 @@ fn missing_colon(lines: &[Line<'_>], here: usize) -> Option<Slip> {
     let content = line.content();
     let (key, value) = content.split_once(char::is_whitespace).unwrap_or((content, ""));
     let written = if value.is_empty() { format!("{key}:") } else { format!("{key}: {}", value.trim()) };
-    slip(
-        line.start + line.indent(),
-        content.len(),
-        format!("a `:` is missing after `{key}`"),
-        format!("write `{written}`"),
-    )
+    let message = format!("a `:` is missing after `{key}`");
+    let slip = slip(line.start + line.indent(), content.len(), message, format!("write `{written}`"))?;
+    Some(slip.rewritten(written))
 }
 
 /// `skill:Name`: YAML takes it for one word.
@@ -266,7 +330,8 @@ fn missing_space(lines: &[Line<'_>], here: usize) -> Option<Slip> {
         }
         let start = line.start + line.text.find(content)?;
         let message = format!("a space is missing after `{key}:`");
-        slip(start, content.len(), message, format!("write `{key}: {value}`"))
+        let slip = slip(start, content.len(), message, format!("write `{key}: {value}`"))?;
+        Some(slip.completed([(start + key.len() + 1, " ".to_owned())]))
     })
 }
 
@@ -287,7 +352,11 @@ fn indentation(lines: &[Line<'_>], here: usize) -> Option<Slip> {
     }
     let near: Vec<String> = above.iter().rev().take(3).rev().map(usize::to_string).collect();
     let help = format!("indent it like the lines that it belongs to: by {}", near.join(" or "));
-    slip(line.start, indent, format!("this line is indented by {indent}, like none above it"), help)
+    let slip =
+        slip(line.start, indent, format!("this line is indented by {indent}, like none above it"), help)?;
+    let nearest =
+        above.iter().min_by_key(|column| (column.abs_diff(indent), column.abs_diff(previous.indent())));
+    Some(slip.rewritten(" ".repeat(*nearest.unwrap_or(&indent))))
 }
 
 #[cfg(test)]

@@ -36,8 +36,9 @@ fn too_deep<T>(at: Span) -> Result<T, Box<Refusal>> {
     refuse(at, "this is nested too deep", "states may be nested 60 levels deep")
 }
 
-/// The tree of a text with one document.
-pub(crate) fn read(text: &str) -> Result<Node, Box<Refusal>> {
+/// The tree of a text with one document, which stands `depth` levels inside another, and whether each entry of its maps can be
+/// read by itself.
+pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Refusal>> {
     let mut options = granit_parser::Options::default();
     options.emit_comments = false;
     let parser = Parser::new_from_str_with_options(text, options);
@@ -49,6 +50,7 @@ pub(crate) fn read(text: &str) -> Result<Node, Box<Refusal>> {
         entries: Vec::new(),
         nodes: 0,
         aliased: 0,
+        divisible: true,
     };
     let everything = Span { start: 0, end: 1 };
     let mut tree = None;
@@ -62,13 +64,14 @@ pub(crate) fn read(text: &str) -> Result<Node, Box<Refusal>> {
             }
             Event::DocumentStart(..) => {
                 if let Some((event, at)) = reader.next()? {
-                    tree = Some(reader.node(event, at, 0)?);
+                    tree = Some(reader.node(event, at, depth)?);
                 }
             }
             _ => return Err(Reader::unexpected(at)),
         }
     }
-    Ok(tree.unwrap_or(Node { span: everything, value: Yaml::Null }))
+    let root = tree.unwrap_or(Node { span: everything, value: Yaml::Null });
+    Ok((root, reader.divisible))
 }
 
 struct Reader<'t> {
@@ -81,6 +84,8 @@ struct Reader<'t> {
     entries: Vec<(Named, Node)>,
     nodes: usize,
     aliased: usize,
+    /// Whether every entry means the same when it is read alone.
+    divisible: bool,
 }
 
 impl<'t> Reader<'t> {
@@ -127,13 +132,22 @@ impl<'t> Reader<'t> {
             return too_deep(at);
         }
         let (node, anchor) = match event {
-            Event::Scalar(text, style, anchor, tag) => (scalar(&text, style, tag.as_deref(), at)?, anchor),
+            Event::Scalar(text, style, anchor, tag) => {
+                // A text of several lines goes to the next key by the parser.
+                let block = matches!(style, ScalarStyle::Literal | ScalarStyle::Folded);
+                let written = self.text.get(at.start..at.end).filter(|_| block).map(str::trim_end);
+                let end = written.map_or(at.end, |written| at.start + written.len().max(1));
+                // One without lines stands where the next key does.
+                self.divisible &= !(block && text.trim().is_empty());
+                (scalar(&text, style, tag.as_deref(), Span { end, ..at })?, anchor)
+            }
             Event::SequenceStart(_, anchor, _) => (Node { span: at, value: self.list(depth)? }, anchor),
             Event::MappingStart(_, anchor, _) => (self.map(at, depth)?, anchor),
             Event::Alias(anchor) => return self.alias(anchor, at),
             _ => return Err(Self::unexpected(at)),
         };
         if anchor > 0 {
+            self.divisible = false;
             self.repeat(&node, at)?;
             self.anchors.insert(anchor, node.clone());
         }
@@ -211,6 +225,7 @@ impl<'t> Reader<'t> {
         let text = match event {
             Event::Scalar(text, _, anchor, tag) => {
                 if anchor > 0 {
+                    self.divisible = false;
                     let node = scalar(&text, ScalarStyle::Plain, tag.as_deref(), at)?;
                     self.anchors.insert(anchor, node);
                 }
@@ -233,6 +248,23 @@ impl<'t> Reader<'t> {
         let written = self.text.get(key.span.start..key.span.end).unwrap_or("").trim_end();
         if written != key.text {
             return Ok(());
+        }
+        if written.contains(['<', '>', '=', '!', '&', '|', '+', '*']) {
+            let open = self.text[..key.span.start].trim_end();
+            let closes = self.text[key.span.end..].find('}').map(|close| key.span.end + close + 1);
+            let quote = if written.contains('"') { '\'' } else { '"' };
+            let quoted = format!("{quote}{written}{quote}");
+            let braces = closes.filter(|close| {
+                open.ends_with('{')
+                    && self.text[key.span.end..close - 1].trim().is_empty()
+                    && !written.contains(quote)
+            });
+            return Err(Box::new(Refusal::Content {
+                at: key.span,
+                message: "an expression stands in quotes, without braces".to_owned(),
+                help: format!("write `{quoted}`"),
+                remedy: braces.map(|end| Remedy::replace(Span { start: open.len() - 1, end }, quoted)),
+            }));
         }
         let (name, value, missing) = if let Some((name, value)) = written.split_once(':') {
             (name, value, "space is missing after")

@@ -2,10 +2,13 @@
 //!
 //! Only the form is known here. Limits on size, nodes, depth and aliases hold against hostile files.
 
+mod edited;
 mod errors;
 mod events;
 mod scalars;
 mod tree;
+
+use std::sync::Arc;
 
 use crate::code;
 use crate::finding::{Findings, MAX_BYTES, too_large};
@@ -15,25 +18,36 @@ use crate::text::Source;
 use errors::slip_near;
 use events::{Refusal, read};
 
+pub(crate) use edited::after_edit;
 pub use tree::{Entries, Named, Node, Yaml};
 
 /// Parses a file's text. What is wrong is added to `findings`.
-pub fn parse(findings: &mut Findings) -> Option<Node> {
-    let source = std::sync::Arc::clone(&findings.source);
+pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
+    let source = Arc::clone(&findings.source);
+    if let Some(tree) = source.tree() {
+        return Some(tree);
+    }
     let everything = Span { start: 0, end: 1 };
     if source.text.len() > MAX_BYTES {
         let (message, help) = too_large();
         findings.error_help(code::FILE, everything, message, Some(help.into()));
         return None;
     }
-    let refusal = match read(&source.text) {
-        Ok(node) => return Some(node),
+    let refusal = match read(&source.text, 0) {
+        Ok((root, divisible)) => {
+            let root = Arc::new(root);
+            source.keep(&root, divisible);
+            return Some(root);
+        }
         Err(refusal) => refusal,
     };
     let (at, message, help, mut remedy) = match *refusal {
         Refusal::Content { at, message, help, remedy } => (at, message, Some(help), remedy),
         Refusal::Syntax { at } => match slip_near(&source.text, at.start) {
-            Some(slip) => (slip.span, slip.message, Some(slip.help), None),
+            Some(slip) => {
+                let remedy = (!slip.edits.is_empty()).then_some(Remedy::Replace(slip.edits));
+                (slip.span, slip.message, Some(slip.help), remedy)
+            }
             None => {
                 let help = "look at this line and at the one before: a bracket, a quote, a `:` or the space after it \
                     may be missing, or be one too many";

@@ -53,6 +53,14 @@ impl Node {
         }
     }
 
+    /// The entries of a map.
+    pub(crate) fn entries_mut(&mut self) -> Option<&mut Vec<(Named, Self)>> {
+        match &mut self.value {
+            Yaml::Map(entries) => Some(entries),
+            _ => None,
+        }
+    }
+
     /// The place of what stands under a key; of the node itself where the key is not there.
     pub fn place(&self, key: &str) -> Span {
         self.get(key).unwrap_or(self).span

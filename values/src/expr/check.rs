@@ -382,7 +382,10 @@ impl Checker<'_> {
             ("_||_", [_, ..]) => self.logic(id, &args, Node::Or),
             ("!_", [of]) => {
                 let (node, ty) = self.check(of)?;
-                self.want(of.id, &Type::Bool, &ty)?;
+                self.want(of.id, &Type::Bool, &ty).map_err(|error| {
+                    let help = "`!` turns a condition round; a number or a text is compared, as in `a == 0`";
+                    ExprError { help: Some(help.to_owned()), ..error }
+                })?;
                 Ok((Node::Not(Box::new(node), self.pos(id)), Type::Bool))
             }
             ("-_", [of]) => {

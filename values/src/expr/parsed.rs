@@ -8,7 +8,7 @@ use cel::{IdedExpr, ParseErrors};
 use parking_lot::Mutex;
 
 /// Most bytes of the texts whose trees are kept.
-const MAX_KEPT: usize = 1 << 18;
+const MAX_KEPT: usize = 1 << 20;
 
 /// A tree, and where its parts are in the text.
 pub(super) type Parsed = Arc<(IdedExpr, SourceInfo)>;

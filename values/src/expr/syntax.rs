@@ -33,6 +33,7 @@ enum TokenKind {
 pub(super) fn explain(source: &str, at: usize) -> ExprError {
     let tokens = tokens(source);
     open_text(&tokens)
+        .or_else(|| magnitude(source, &tokens))
         .or_else(|| foreign(&tokens))
         .or_else(|| brackets(&tokens))
         .or_else(|| neighbours(&tokens))
@@ -49,7 +50,9 @@ pub(super) fn explain(source: &str, at: usize) -> ExprError {
 pub(super) fn comment(source: &str) -> Option<ExprError> {
     let found = source.contains("//").then(|| tokens(source))?;
     let token = *found.iter().find(|token| token.text == "//")?;
-    Some(explained(token, "there is no operator `//`", "divide with `/`: whole numbers give a whole number"))
+    let error =
+        explained(token, "there is no operator `//`", "divide with `/`: whole numbers give a whole number");
+    Some(ExprError { near: Some((error.start, error.end, "/".into())), ..error })
 }
 
 fn said((start, end): (usize, usize), message: impl Into<String>, help: impl Into<String>) -> ExprError {
@@ -91,7 +94,25 @@ fn too_large(tokens: &[Token<'_>]) -> Option<ExprError> {
 fn open_text(tokens: &[Token<'_>]) -> Option<ExprError> {
     let open = *tokens.iter().find(|token| token.kind == TokenKind::OpenText)?;
     let quote = &open.text[..1];
-    Some(explained(open, "this text has no end", format!("close it with {quote}")))
+    let error = explained(open, "this text has no end", format!("close it with {quote}"));
+    Some(ExprError {
+        near: Some((error.start, error.end, format!("{}{quote}", open.text.trim_end()))),
+        ..error
+    })
+}
+
+/// `|x|`: a bar where a value begins, and another one after it.
+fn magnitude(source: &str, tokens: &[Token<'_>]) -> Option<ExprError> {
+    let bar = |token: &Token<'_>| token.text == "|";
+    let begins = |at: usize| at == 0 || matches!(tokens[at - 1].kind, TokenKind::Operator | TokenKind::Open);
+    let open = (0..tokens.len()).find(|at| bar(&tokens[*at]) && begins(*at))?;
+    let close = tokens[open + 1..].iter().find(|token| bar(token))?;
+    let inner = source[tokens[open].start + 1..close.start].trim();
+    let (start, end) = (tokens[open].start, close.start + 1);
+    let write = format!("abs({inner})");
+    let help = format!("write `{write}`, or `norm({inner})` for the length of a vector");
+    let near = Some((start, end, write));
+    Some(ExprError { near, ..said((start, end), "`|...|` is no operator here", help) })
 }
 
 /// Operators and words of other languages.
@@ -167,11 +188,12 @@ fn brackets(tokens: &[Token<'_>]) -> Option<ExprError> {
                 Some(before) if closing(before.text) == token.text => {}
                 Some(before) => {
                     let message = format!("`{}` is closed by `{}`", before.text, token.text);
-                    return Some(explained(*token, message, format!("write `{}`", closing(before.text))));
+                    return Some(rewritten(*token, message, closing(before.text)));
                 }
                 None => {
                     let message = format!("this `{}` closes nothing", token.text);
-                    return Some(explained(*token, message, "remove it, or add the bracket that it closes"));
+                    let error = explained(*token, message, "remove it, or add the bracket that it closes");
+                    return Some(ExprError { near: Some((error.start, error.end, String::new())), ..error });
                 }
             },
             _ => {}
@@ -179,7 +201,11 @@ fn brackets(tokens: &[Token<'_>]) -> Option<ExprError> {
     }
     let last = *open.last()?;
     let help = format!("add the missing `{}`", closing(last.text));
-    Some(explained(last, format!("this `{}` is not closed", last.text), help))
+    let error = explained(last, format!("this `{}` is not closed", last.text), help);
+    let missing: String = open.iter().rev().map(|open| closing(open.text)).collect();
+    let end = tokens.last()?;
+    let rest = (end.start, end.start + end.text.len(), format!("{}{missing}", end.text));
+    Some(ExprError { near: Some(rest), ..error })
 }
 
 /// Two values without an operator between them, or an operator without a value.
