@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use armarium_host::simulated::memory_of_run;
 use armarium_memoryx::{Commit, EntityId};
@@ -36,6 +37,32 @@ fn every_robot_grasps() {
         let error = figure(&report, "grasp", "position_error_m");
         assert!(error < 0.01, "{robot}: {error}");
     }
+}
+
+/// Paths are planned beside the robot's control; neither that nor other work of the machine changes a run.
+#[test]
+fn a_run_is_the_same_while_the_machine_is_busy() {
+    let trace = || {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let report = run(folder.path(), "grasp_object.yaml", &["--set", "object=sponge"]);
+        report["trace_sha256"].as_str().expect("the report has it").to_owned()
+    };
+    let alone = trace();
+    let done = AtomicBool::new(false);
+    let busy = std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(2, usize::from) + 1 {
+            scope.spawn(|| {
+                let mut sum = 0_u64;
+                while !done.load(Ordering::Relaxed) {
+                    sum = std::hint::black_box(sum.wrapping_mul(3).wrapping_add(1));
+                }
+            });
+        }
+        let busy = trace();
+        done.store(true, Ordering::Relaxed);
+        busy
+    });
+    assert_eq!(alone, busy);
 }
 
 /// From one metre before its place, turned by some degrees.

@@ -59,9 +59,10 @@ pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> 
     probe.a_silent_commander_is_faulted().await?;
     probe.nonsense_is_refused().await?;
     probe.a_panic_brakes().await?;
+    probe.a_stop_lasts_until_it_is_reset().await?;
+    // Last, as they may end at something that nobody knows, such as a table.
     probe.bodies_stay_apart().await?;
-    probe.the_hand_stays_away_from_what_is_known().await?;
-    probe.a_stop_lasts_until_it_is_reset().await
+    probe.the_hand_stays_away_from_what_is_known().await
 }
 
 /// Full speed of `joints`, each away from its nearer limit.
@@ -279,8 +280,11 @@ impl<'a> Probe<'a> {
             let now = self.sample().await?;
             let towards = |&j: &usize| (goal[j] - now.position[j]) * 5.0;
             let command: Vec<f64> = self.joints.iter().map(towards).collect();
-            if let Err(fault) = lease.command(&command) {
-                return self.broken(format!("a sound command was refused: {fault}"));
+            match lease.command(&command) {
+                Ok(()) => {}
+                // It has met something that it does not know.
+                Err(Fault::Force { .. }) => break,
+                Err(fault) => return self.broken(format!("a sound command was refused: {fault}")),
             }
             kinematics.update(&now.position);
             let distance = least_distance(&bodies, &kinematics);
@@ -322,8 +326,11 @@ impl<'a> Probe<'a> {
         }
         let lease = self.lease(LeaseLimits::default())?;
         loop {
-            if let Err(fault) = lease.command(&command) {
-                return self.broken(format!("a sound command was refused: {fault}"));
+            match lease.command(&command) {
+                Ok(()) => {}
+                // It has met something that it does not know.
+                Err(Fault::Force { .. }) => break,
+                Err(fault) => return self.broken(format!("a sound command was refused: {fault}")),
             }
             let now = self.sample().await?;
             kinematics.update(&now.position);

@@ -286,5 +286,5 @@ pub(crate) async fn at_hand(
     let Some(hand) = model.hand_of(arm) else { return Ok(Vec::new()) };
     let here = model.link_pose(&equipment.robot.sensed().borrow().position, tcp_of(arm)?);
     let grasps = targets.iter().chain([&here]).map(|root_from_tcp| root_from_tcp * held_in_tcp(hand));
-    places_at(&*equipment.memory, &grasps.collect::<Vec<_>>()).await
+    places_at(equipment.remembered(), &grasps.collect::<Vec<_>>()).await
 }

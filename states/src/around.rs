@@ -70,7 +70,7 @@ impl Around {
             let at_hand = || grasps.iter().any(|grasp| distance(&known.shape, grasp) < AT_HAND);
             known.thing.is_none() || !(held || at_hand())
         };
-        let known = known(&*equipment.memory).await?.into_iter().filter(in_the_way);
+        let known = known(equipment.remembered()).await?.into_iter().filter(in_the_way);
         let joints = joints.to_vec();
         let (boxes, arm) = (known.map(|known| known.shape).collect(), arm.name.clone());
         Ok(Self { boxes, loads, tcp, joints, arm, equipment: equipment.clone(), model })

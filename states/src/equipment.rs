@@ -16,6 +16,7 @@ use parking_lot::RwLock;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
+use crate::places::Remembered;
 use crate::running_motion::RunningMotions;
 
 /// A motion that was published longer ago does not run any more, s.
@@ -57,6 +58,11 @@ impl Equipment {
         let name = motion.as_ref().and_then(|s| s.value.get("arm").and_then(Value::as_str));
         let named = name.and_then(|name| self.robot.model().arms().find(|arm| arm.name == name));
         named.map_or_else(|| self.arm(), Ok)
+    }
+
+    /// Its memory, with the frames in which poses there may be.
+    pub(crate) fn remembered(&self) -> Remembered<'_> {
+        Remembered { memory: &*self.memory, transforms: &self.transforms }
     }
 
     /// A random generator that gives the same numbers in every run with the same seed.

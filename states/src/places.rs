@@ -5,7 +5,10 @@ use std::sync::Arc;
 use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
-use nalgebra::{Point3, Translation3, Vector3};
+use armarium_values::transforms::Transforms;
+use armarium_values::{Frame, Value};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use parking_lot::RwLock;
 
 use crate::inputs::as_pose;
 use crate::motions::failed;
@@ -16,6 +19,29 @@ const THICKNESS: f64 = 0.02;
 /// A place that is nearer than this to where a hand grasps is what it works on, m.
 const WORKED_ON: f64 = 0.1;
 
+/// The time of what always holds, ns.
+const NOW: u64 = 0;
+
+/// Memory, with the frames in which its poses may be.
+#[derive(Clone, Copy)]
+pub(crate) struct Remembered<'a> {
+    pub(crate) memory: &'a dyn Memory,
+    pub(crate) transforms: &'a RwLock<Transforms>,
+}
+
+impl Remembered<'_> {
+    /// The pose that a snapshot holds, root frame: in that frame, or in one of which it is known where it stands to it, such as
+    /// `world`.
+    pub(crate) fn root_pose(&self, snapshot: &Snapshot) -> Option<Isometry3<f64>> {
+        let value = snapshot.attribute("pose")?;
+        as_pose(value).or_else(|| {
+            let Value::Pose(pose) = value else { return None };
+            let root_from_frame = self.transforms.read().transform(&Frame::root(), &pose.frame, NOW).ok()?;
+            Some(root_from_frame * pose.isometry())
+        })
+    }
+}
+
 /// What memory knows of where something is.
 pub(crate) struct Known {
     pub(crate) shape: KnownBox,
@@ -24,37 +50,41 @@ pub(crate) struct Known {
 }
 
 /// The names of the places near to one of these points (root frame, m).
-pub(crate) async fn places_at(memory: &dyn Memory, points: &[Point3<f64>]) -> Result<Vec<String>, Failure> {
+pub(crate) async fn places_at(
+    remembered: Remembered<'_>,
+    points: &[Point3<f64>],
+) -> Result<Vec<String>, Failure> {
     let near = |place: &KnownBox| points.iter().any(|point| distance(place, point) < WORKED_ON);
-    Ok(places(memory).await?.into_iter().filter(near).map(|place| place.name).collect())
+    Ok(places(remembered).await?.into_iter().filter(near).map(|place| place.name).collect())
 }
 
 /// What memory holds now of places and things, each with its extent. Things in a hand and what has no pose in the root frame are
 /// left out, and so are things whose class nobody knows.
-pub(crate) async fn known(memory: &dyn Memory) -> Result<Vec<Known>, Failure> {
+pub(crate) async fn known(remembered: Remembered<'_>) -> Result<Vec<Known>, Failure> {
+    let memory = remembered.memory;
     let mut all: Vec<Known> =
-        places(memory).await?.into_iter().map(|shape| Known { shape, thing: None }).collect();
+        places(remembered).await?.into_iter().map(|shape| Known { shape, thing: None }).collect();
     for thing in segment(memory, "ObjectInstances").await? {
         if thing.attribute("attached_to").is_some() {
             continue;
         }
         let Ok(class) = class_name(&thing) else { continue };
         let Ok(class) = object_class(memory, class).await else { continue };
-        all.extend(shape(&thing, class.size).map(|shape| Known { shape, thing: Some(thing.id.clone()) }));
+        all.extend(shape(remembered, &thing, class.size).map(|shape| Known { shape, thing: Some(thing.id.clone()) }));
     }
     Ok(all)
 }
 
 /// What memory holds now of places: tables, walls. What has no pose in the root frame or no extent is left out.
-pub(crate) async fn places(memory: &dyn Memory) -> Result<Vec<KnownBox>, Failure> {
-    let known = segment(memory, "EnvironmentModels").await?;
+pub(crate) async fn places(remembered: Remembered<'_>) -> Result<Vec<KnownBox>, Failure> {
+    let known = segment(remembered.memory, "EnvironmentModels").await?;
     let place = |place: &Arc<Snapshot>| {
-        let mut size = place.attribute("size").and_then(armarium_values::Value::as_vector3)?;
+        let mut size = place.attribute("size").and_then(Value::as_vector3)?;
         let is_surface = size[2] == 0.0;
         if is_surface {
             size[2] = THICKNESS;
         }
-        let mut shape = shape(place, size)?;
+        let mut shape = shape(remembered, place, size)?;
         if is_surface {
             shape.root_from_box *= Translation3::new(0.0, 0.0, -THICKNESS / 2.0);
         }
@@ -67,8 +97,8 @@ async fn segment(memory: &dyn Memory, name: &str) -> Result<Vec<Arc<Snapshot>>, 
     memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed)
 }
 
-fn shape(snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {
-    let root_from_box = snapshot.attribute("pose").and_then(as_pose)?;
+fn shape(remembered: Remembered<'_>, snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {
+    let root_from_box = remembered.root_pose(snapshot)?;
     let size = Vector3::from(size);
     let is_box = size.iter().all(|edge| edge.is_finite() && *edge > 0.0);
     let placed = root_from_box.translation.vector.iter().all(|x| x.is_finite());

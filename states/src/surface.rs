@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::inputs::pose_value;
 use crate::motions::failed;
-use crate::places::places;
+use crate::places::{Remembered, places};
 
 /// What stands on a surface has its underside within this of it, m.
 const STANDS: f64 = 0.04;
@@ -51,13 +51,13 @@ impl Surface {
     }
 
     /// The surface in memory over which a point is; the level one through the point where memory knows none.
-    pub(crate) async fn under(memory: &dyn Memory, point: &Point3<f64>) -> Result<Self, Failure> {
+    pub(crate) async fn under(memory: Remembered<'_>, point: &Point3<f64>) -> Result<Self, Failure> {
         Ok(Self::known_under(memory, point).await?.unwrap_or_else(|| Self::level(*point)))
     }
 
     /// The surface in memory over which a point is, if there is one.
     pub(crate) async fn known_under(
-        memory: &dyn Memory,
+        memory: Remembered<'_>,
         point: &Point3<f64>,
     ) -> Result<Option<Self>, Failure> {
         let known = places(memory).await?;
@@ -138,9 +138,25 @@ fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{WorkingMemory, tokio_clock};
+    use armarium_memoryx::{Instance, Snapshot, WorkingMemory, tokio_clock};
+    use armarium_values::transforms::Transforms;
+    use armarium_values::{Frame, Pose};
+    use parking_lot::RwLock;
 
     use super::*;
+
+    fn top_in(remembered: &Remembered<'_>, pose: &Pose) -> Option<Vector3<f64>> {
+        let attributes = BTreeMap::from([("pose".to_owned(), Value::Pose(pose.clone()))]);
+        let snapshot = Snapshot {
+            id: EntityId::new("EnvironmentModels", "test", "there").unwrap(),
+            version: 1,
+            referenced_ns: 0,
+            sent_ns: 0,
+            arrived_ns: 0,
+            instances: vec![Instance::new(attributes)],
+        };
+        Some(remembered.root_pose(&snapshot)?.translation.vector)
+    }
 
     fn table(tilt: f64) -> Isometry3<f64> {
         Isometry3::new(Vector3::new(0.2, 0.6, 0.9), Vector3::x() * tilt)
@@ -148,20 +164,28 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn memory_says_what_a_thing_stands_on() {
-        let memory = WorkingMemory::new(tokio_clock());
+        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let remembered = Remembered { memory: &memory, transforms: &transforms };
         let point = Point3::new(0.3, 0.5, 0.93);
-        let known = Surface::under(&memory, &point).await.unwrap();
+        let known = Surface::under(remembered, &point).await.unwrap();
         assert_eq!(known, Surface::level(point), "nothing is known");
         let id = EntityId::new("EnvironmentModels", "test", "table").unwrap();
         let pose = table(0.2);
         let size = Value::from([1.0, 0.7, 0.0]);
         memory.commit(vec![Commit::new(id, 0, [("pose", pose_value(&pose)), ("size", size)])]).await.unwrap();
-        let known = Surface::under(&memory, &point).await.unwrap();
+        let known = Surface::under(remembered, &point).await.unwrap();
         assert!((known.normal().into_inner() - pose * Vector3::z()).norm() < 1e-9);
         assert!(known.above(&(pose * Point3::new(0.1, 0.1, 0.0))).abs() < 1e-9);
         let there = known.at(0.35, 0.45);
         assert!(known.above(&there).abs() < 1e-9 && there.x == 0.35 && there.y == 0.45);
-        let beside = Surface::under(&memory, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();
+        // The robot stands 0.1 m beside the origin of the world in which another one has put the table.
+        let stands = Pose::new(Frame("world".into()), &Isometry3::translation(0.1, 0.0, 0.0));
+        let (there, here) = (Pose::new(Frame("world".into()), &pose), Pose::new(Frame::root(), &pose));
+        assert_eq!(top_in(&remembered, &there), None);
+        transforms.write().fix(&Frame::root(), &stands).unwrap();
+        assert!((top_in(&remembered, &there).unwrap().x - 0.1).abs() < 1e-9);
+        assert!((top_in(&remembered, &here).unwrap().x - 0.2).abs() < 1e-9);
+        let beside = Surface::under(remembered, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();
         assert_eq!(beside.normal(), Vector3::z_axis());
     }
 }

@@ -1,17 +1,23 @@
-//! What memory knows of places, such as a table, for the robot's guard: its bodies keep their distance from them.
+//! What memory knows of places, such as a table, for the robot's guard: its bodies keep their distance from them. And where the
+//! robot stands in the world, for the frames.
 
+use armarium_memoryx::Snapshot;
 use armarium_robot::planning::KnownBox;
+use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
 use crate::equipment::Equipment;
 use crate::places::places;
 
-/// Passes the places in memory on to the robot, now and whenever they change.
+/// Passes places in memory on to the robot, and the pose of its root frame on to the frames, now and whenever they change.
 pub(super) async fn observe(equipment: Equipment) {
     let mut updates = equipment.memory.subscribe();
     let mut known: Option<Vec<KnownBox>> = None;
     loop {
-        match places(&*equipment.memory).await {
+        if let Ok(agents) = equipment.memory.segment("AgentInstances").await {
+            agents.iter().for_each(|agent| stand(&equipment, agent));
+        }
+        match places(equipment.remembered()).await {
             Ok(places) if known.as_ref() != Some(&places) => {
                 if let Err(error) = equipment.robot.set_surroundings(places.clone()) {
                     tracing::warn!("the guard does not know the places in memory: {error}");
@@ -23,10 +29,22 @@ pub(super) async fn observe(equipment: Equipment) {
         }
         loop {
             match updates.recv().await {
-                Ok(update) if update.id.segment() != "EnvironmentModels" => {}
+                Ok(update) if !["EnvironmentModels", "AgentInstances"].contains(&update.id.segment()) => {}
                 Ok(_) | Err(RecvError::Lagged(_)) => break,
                 Err(RecvError::Closed) => return,
             }
         }
+    }
+}
+
+/// Tells the frames where the robot's root is, if that is what a snapshot says.
+fn stand(equipment: &Equipment, agent: &Snapshot) {
+    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == equipment.agent) else {
+        return;
+    };
+    if pose.frame != Frame::root()
+        && let Err(error) = equipment.transforms.write().fix(&Frame::root(), pose)
+    {
+        tracing::warn!("the frames do not know where `{}` stands: {error}", agent.id);
     }
 }

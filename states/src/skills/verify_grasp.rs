@@ -15,7 +15,7 @@ use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, as_pose, pose_value};
+use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
@@ -69,14 +69,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tcp_at_grasp = context.pose("tcp_at_grasp")?;
     let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
-    let surface = Surface::under(&*equipment.memory, &stood).await?;
+    let surface = Surface::under(equipment.remembered(), &stood).await?;
     let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
     let size = Vector3::from(class.size);
     let stood_as = equipment.memory.latest(&object).await.map_err(failed)?;
-    let stood_as = stood_as.attribute("pose").and_then(as_pose).map_or(surface.rotation(), |pose| pose.rotation);
+    let stood_as = equipment.remembered().root_pose(&stood_as).map_or(surface.rotation(), |pose| pose.rotation);
     // Its turn in the hand is as it stood; its middle is where the hand holds.
     let tcp_from_box = Isometry3::from_parts(held.coords.into(), tcp_at_grasp.rotation.inverse() * stood_as);
     let shape = Some(LoadShape { tcp_from_box, size });

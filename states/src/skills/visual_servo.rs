@@ -19,7 +19,7 @@ use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp, marker};
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, as_pose, pose_value};
+use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 use crate::skills::move_tcp::tolerances;
@@ -138,9 +138,9 @@ impl Detections {
     async fn new(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
         let id = context.entity("object")?;
         let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
-        let pose = snapshot.attribute("pose").and_then(as_pose);
+        let pose = equipment.remembered().root_pose(&snapshot);
         let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
-        let surface = Surface::under(&*equipment.memory, &pose.translation.vector.into()).await?;
+        let surface = Surface::under(equipment.remembered(), &pose.translation.vector.into()).await?;
         let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
