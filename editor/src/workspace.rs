@@ -333,7 +333,7 @@ impl Analysis {
 
 /// The text of a document, of which not more is read again than was changed since it was YAML last.
 fn edited(path: &Path, text: String, readable: Option<&Analysis>) -> Arc<Source> {
-    Arc::new(Source::edited(path, text, readable.map(|analysis| &*analysis.source)))
+    Arc::new(yaml::edited(path, text, readable.map(|analysis| &*analysis.source)))
 }
 
 /// Adds the YAML files of a folder and of those inside it, but not of hidden ones and of what tools make.

@@ -27,6 +27,7 @@ mod stack;
 #[cfg(test)]
 mod tests;
 mod text;
+mod tree;
 pub mod yaml;
 
 pub use draw::{Drawn, draw};

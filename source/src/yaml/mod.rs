@@ -6,7 +6,6 @@ mod edited;
 mod errors;
 mod events;
 mod scalars;
-mod tree;
 
 use std::sync::Arc;
 
@@ -14,18 +13,20 @@ use crate::code;
 use crate::finding::{Findings, MAX_BYTES, too_large};
 use crate::remedy::{Edit, Remedy};
 use crate::span::Span;
-use crate::text::Source;
+use crate::text::{KeptTree, Source};
 use errors::slip_near;
 use events::{Refusal, read};
 
+pub use crate::tree::{Entries, Named, Node, Yaml};
+#[cfg(test)]
 pub(crate) use edited::after_edit;
-pub use tree::{Entries, Named, Node, Yaml};
+pub use edited::edited;
 
 /// Parses a file's text. What is wrong is added to `findings`.
 pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
     let source = Arc::clone(&findings.source);
     if let Some(tree) = source.tree() {
-        return Some(tree);
+        return Some(Arc::clone(&tree.root));
     }
     let everything = Span { start: 0, end: 1 };
     if source.text.len() > MAX_BYTES {
@@ -35,9 +36,9 @@ pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
     }
     let refusal = match read(&source.text, 0) {
         Ok((root, divisible)) => {
-            let root = Arc::new(root);
-            source.keep(&root, divisible);
-            return Some(root);
+            let tree = KeptTree { root: Arc::new(root), divisible };
+            source.keep(&tree);
+            return Some(tree.root);
         }
         Err(refusal) => refusal,
     };
