@@ -1,6 +1,6 @@
 //! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
 
-use armarium_source::Key;
+use armarium_source::FormKey;
 
 /// A group of words and what they are here.
 type Words = (&'static [&'static str], &'static str);
@@ -132,7 +132,7 @@ const IN_LISTS: &[(&str, &[&str], &str)] = &[
 ];
 
 /// What a key that a form with `keys` does not have is here, and the key that stands for it if nothing else changes.
-pub(super) fn meant(key: &str, keys: &[Key]) -> Option<(&'static str, Option<&'static str>)> {
+pub(super) fn meant(key: &str, keys: &[FormKey]) -> Option<(&'static str, Option<&'static str>)> {
     let required = |name: &str| keys.iter().any(|key| key.name == name && key.required);
     if let Some((same, _, help)) =
         IN_LISTS.iter().find(|(same, words, _)| required(same) && words.contains(&key))
