@@ -78,23 +78,23 @@ impl Findings {
 
     /// Adds a finding for each key that a form does not have.
     pub fn known(&mut self, entries: &Entries, keys: &[FormKey], called: &str) {
-        self.known_or(entries, keys, called, |_| None);
+        self.known_or(entries, keys, called, |_, _| None);
     }
 
     /// As [`Findings::known`]; `meant` knows words of other languages: what to do instead, and the key if it is the same with
-    /// another name.
+    /// another name and the value has its form.
     pub fn known_or(
         &mut self,
         entries: &Entries,
         keys: &[FormKey],
         called: &str,
-        meant: impl Fn(&str) -> Option<(&'static str, Option<&'static str>)>,
+        meant: impl Fn(&str, &Node) -> Option<(&'static str, Option<&'static str>)>,
     ) {
         let names = || keys.iter().map(|key| key.name);
-        for (key, _) in entries.iter().filter(|(key, _)| !names().any(|name| name == key.text)) {
+        for (key, node) in entries.iter().filter(|(key, _)| !names().any(|name| name == key.text)) {
             let help = format!("{called} has the keys {}", names().collect::<Vec<_>>().join(", "));
             let message = format!("{called} has no key `{}`", key.text);
-            match meant(&key.text) {
+            match meant(&key.text, node) {
                 Some((help, same)) => {
                     self.error_help(code::KEY, key.span, message, Some(help.to_owned()));
                     let free = |same: &&str| {

@@ -124,7 +124,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn known(&mut self, entries: &Entries, keys: &[FormKey], called: &str) {
-        self.findings.known_or(entries, keys, called, |key| foreign::meant(key, keys));
+        self.findings.known_or(entries, keys, called, |key, node| foreign::meant(key, node, keys));
     }
 
     pub(super) fn text(&mut self, node: &Node) -> Option<Named> {

@@ -140,10 +140,7 @@ impl Engine {
                 let data = self.optional(data.as_ref(), turn)?;
                 let event = Event::new(*event, data, Origin::Broadcast);
                 if self.internal.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
-                    return Err(Failed::new(
-                        "too many events are waiting",
-                        turn.program.place(*place),
-                    ));
+                    return Err(Failed::new("too many events are waiting", turn.program.place(*place)));
                 }
                 self.internal.push_back(event);
             }
@@ -225,10 +222,7 @@ impl Engine {
             ));
         }
         if self.timers.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
-            return Err(Failed::new(
-                "too many delayed events are waiting",
-                turn.program.place(send.place),
-            ));
+            return Err(Failed::new("too many delayed events are waiting", turn.program.place(send.place)));
         }
         self.start_timer(TimerUse::Send { id: send.id.clone(), event, to }, seconds, u64::MAX - 2, turn);
         Ok(())

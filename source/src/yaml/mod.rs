@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use crate::code;
 use crate::finding::{Findings, MAX_BYTES, too_large};
-use crate::remedy::{Edit, Remedy};
+use crate::remedy::{Edit, Remedy, applied};
 use crate::span::Span;
 use crate::text::{KeptTree, Source};
 use errors::slip_near;
@@ -109,5 +109,14 @@ fn unquoted_expressions(source: &Source, at: usize) -> Option<Remedy> {
         let edit = |at| Edit { span: Span { start: at, end: at }, text: quote.to_owned() };
         edits.extend([edit(from), edit(to)]);
     }
-    (!edits.is_empty()).then_some(Remedy::Replace(edits))
+    let (last, _) = edits.split_last()?;
+    if read(&applied(text, &edits), 0).is_err() {
+        // The brace that the expression took was that of the map around it.
+        let mut closed = edits.clone();
+        closed.push(Edit { span: last.span, text: "}".to_owned() });
+        if read(&applied(text, &closed), 0).is_ok() {
+            return Some(Remedy::Replace(closed));
+        }
+    }
+    Some(Remedy::Replace(edits))
 }
