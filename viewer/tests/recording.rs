@@ -175,7 +175,7 @@ fn a_full_disk_is_the_cause_that_is_named() {
         recorder.health().err()
     });
     let error = broken.expect("nothing can be written there");
-    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    let causes = std::iter::successors(error.source(), |cause| (*cause).source());
     let said: Vec<String> = causes.map(ToString::to_string).collect();
     assert!(said.iter().any(|cause| cause.contains("No space left")), "{said:?}");
 }
