@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use armarium_runtime::chart::{self, Outline};
 use armarium_source::Finding;
-use armarium_viewer::chart::{Format, Theme, Unfold, fold, render, unfold};
+use armarium_viewer::chart::{Format, Theme, Unfold, fold, levels, levels_that_fit, render, unfold};
 
 use crate::{changes, console};
 
@@ -26,7 +26,7 @@ pub(crate) struct GraphArgs {
     /// repeated.
     #[arg(long, value_name = "NAME")]
     pub(crate) unfold: Vec<String>,
-    /// Levels of states to show; what is further inside is counted.
+    /// Levels of states to show; what is further inside is counted. SVG and PNG show as many as fit two screens, unless it is said.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(crate) depth: Option<u16>,
     /// Colours of SVG and PNG.
@@ -105,8 +105,11 @@ fn draw(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
     if !unknown.is_empty() {
         return refuse(&library, &unknown, out);
     }
-    if let Some(depth) = args.depth {
-        outline = fold(&outline, usize::from(depth));
+    let picture = matches!(format, Format::Svg | Format::Png) && args.unfold.is_empty();
+    let fitting = if picture && args.depth.is_none() { levels_that_fit(&outline) } else { None };
+    let all = levels(&outline);
+    if let Some(depth) = args.depth.map(usize::from).or(fitting) {
+        outline = fold(&outline, depth);
     }
     let theme = match args.theme {
         ThemeArg::Auto => Theme::Auto,
@@ -121,7 +124,13 @@ fn draw(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
         return out.write_all(&drawn).map(|()| 0);
     }
     match std::fs::write(&args.output, drawn) {
-        Ok(()) => writeln!(out, "wrote {}", args.output.display()).map(|()| 0),
+        Ok(()) => {
+            write!(out, "wrote {}", args.output.display())?;
+            if let Some(shown) = fitting {
+                write!(out, ", {shown} of {all} levels of states; `--depth {all}` shows all")?;
+            }
+            writeln!(out).map(|()| 0)
+        }
         Err(error) => writeln!(out, "error: {}: {error}", args.output.display()).map(|()| 2),
     }
 }

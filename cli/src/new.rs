@@ -5,7 +5,7 @@ use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use armarium_editor::Kind;
+use armarium_editor::FileKind;
 
 /// Arguments of `new`.
 #[derive(Clone, Debug, clap::Args)]
@@ -40,12 +40,12 @@ const SKILL: &[(&str, &str)] = &[
 ];
 
 /// The schemas that the files of a chart name, for editors without a language server.
-const SCHEMAS: [(&str, Kind); 5] = [
-    (".schema/chart.json", Kind::Chart),
-    (".schema/test.json", Kind::Test),
-    (".schema/world.json", Kind::World),
-    (".schema/object.json", Kind::Object),
-    (".schema/scene.json", Kind::Scene),
+const SCHEMAS: [(&str, FileKind); 5] = [
+    (".schema/chart.json", FileKind::Chart),
+    (".schema/test.json", FileKind::Test),
+    (".schema/world.json", FileKind::World),
+    (".schema/object.json", FileKind::Object),
+    (".schema/scene.json", FileKind::Scene),
 ];
 
 /// Writes the files and prints what to do with them. Returns the exit status: 2 when one of the files exists or

@@ -38,7 +38,8 @@ pub(crate) struct RunArgs {
     /// Stop the run after this time of the robot, for instance `10min`.
     #[arg(long = "for", value_name = "TIME", value_parser = read_time)]
     pub(crate) longest: Option<Duration>,
-    /// End the recording when it has this size, for instance `2GB`; the run goes on.
+    /// End the recording when its file has this size, for instance `2GB`; the run goes on. What was collected since the last write
+    /// (2 s of the run at most) and the index come on top.
     #[arg(long = "most", value_name = "SIZE", value_parser = read_size)]
     pub(crate) largest_recording: Option<u64>,
     /// The long-term store of motions.

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use armarium_editor::Kind;
+use armarium_editor::FileKind;
 
 /// Arguments of `schema`.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -35,12 +35,12 @@ pub(crate) enum SchemaOf {
 /// When `out` cannot be written.
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let kind = match args.of {
-        SchemaOf::World => Kind::World,
-        SchemaOf::Chart => Kind::Chart,
-        SchemaOf::Test => Kind::Test,
-        SchemaOf::Object => Kind::Object,
-        SchemaOf::Scene => Kind::Scene,
-        SchemaOf::Robot => Kind::Robot,
+        SchemaOf::World => FileKind::World,
+        SchemaOf::Chart => FileKind::Chart,
+        SchemaOf::Test => FileKind::Test,
+        SchemaOf::Object => FileKind::Object,
+        SchemaOf::Scene => FileKind::Scene,
+        SchemaOf::Robot => FileKind::Robot,
     };
     let schema = kind.schema(&armarium_host::catalog::idle_registry());
     serde_json::to_writer_pretty(&mut *out, &schema)?;

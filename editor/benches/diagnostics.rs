@@ -1,4 +1,5 @@
-//! How long after an edit a chart of 5 000 states is diagnosed, held against `check` itself, and what memory the server has taken.
+//! How long after an edit a chart of 5 000 states is diagnosed, held against `check` itself, how long references and a rename take, and
+//! what memory the server has taken.
 //!
 //! `cargo bench -p armarium-editor`
 
@@ -92,10 +93,17 @@ fn main() {
     let first = time(&mut || drop(workspace.hover(&uri, place)));
     let hover = time(&mut || drop(workspace.hover(&uri, place)));
     let completion = time(&mut || drop(workspace.completion(&uri, place, true)));
+    // The local that every state reads and sets.
+    let local = Position::new(4, 3);
+    let mut uses = 0;
+    let references = time(&mut || uses = workspace.find_references(&uri, local, true).len());
+    assert!(uses > STATES, "{uses}");
+    let rename = time(&mut || assert!(workspace.rename(&uri, local, "counted").is_ok()));
     println!(
         "check: {plain:?}; edit to diagnostics: {served:?}, {:.2} of check",
         served.as_secs_f64() / plain.as_secs_f64()
     );
     println!("first hover after an edit: {first:?}; next: {hover:?}; completion: {completion:?}");
+    println!("{uses} references: {references:?}; rename: {rename:?}");
     println!("memory: {} MB", memory());
 }

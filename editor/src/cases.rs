@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use armarium_runtime::chart::{Library, Reference, Section, Symbol};
+use armarium_runtime::chart::{Library, NameReference, Section, Symbol};
 use armarium_source::yaml::{Entries, Node, Yaml};
 use armarium_source::{Source, Span};
 
@@ -12,8 +12,8 @@ pub(crate) fn references(
     source: &Arc<Source>,
     tree: &Node,
     library: &Library,
-    known: &[Reference],
-) -> Vec<Reference> {
+    known: &[NameReference],
+) -> Vec<NameReference> {
     let mut states: BTreeMap<&str, BTreeSet<&Symbol>> = BTreeMap::new();
     let mut ends: BTreeMap<(&str, &str), BTreeSet<&Symbol>> = BTreeMap::new();
     for reference in known.iter().filter(|reference| reference.definition) {
@@ -34,8 +34,8 @@ pub(crate) fn references(
     cases.found
 }
 
-fn skills(known: &[Reference]) -> BTreeMap<&str, &Symbol> {
-    let skill = |reference: &'_ Reference| matches!(reference.symbol, Symbol::Skill { .. });
+fn skills(known: &[NameReference]) -> BTreeMap<&str, &Symbol> {
+    let skill = |reference: &'_ NameReference| matches!(reference.symbol, Symbol::Skill { .. });
     known.iter().filter(|r| skill(r)).map(|r| (r.symbol.name(), &r.symbol)).collect()
 }
 
@@ -47,7 +47,7 @@ struct Cases<'c> {
     /// Watches and outcomes by their state's path and their name.
     ends: BTreeMap<(&'c str, &'c str), BTreeSet<&'c Symbol>>,
     skills: BTreeMap<&'c str, &'c Symbol>,
-    found: Vec<Reference>,
+    found: Vec<NameReference>,
 }
 
 fn entries<'n>(node: &'n Node, key: &str) -> &'n Entries {
@@ -65,7 +65,7 @@ impl Cases<'_> {
         let inner = if quotes { Span { start: span.start + 1, end: span.end - 1 } } else { span };
         let exact = source.text.get(inner.start..inner.end) == Some(symbol.name());
         let span = if exact { inner } else { span };
-        self.found.push(Reference { source, span, exact, definition: false, symbol });
+        self.found.push(NameReference { source, span, exact, definition: false, symbol });
     }
 
     fn text(node: Option<&Node>) -> Option<(&str, Span)> {

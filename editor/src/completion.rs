@@ -12,7 +12,7 @@ use lsp_types::{
 };
 
 use crate::cursor::{Cursor, Place, Step};
-use crate::kind::Kind;
+use crate::kind::FileKind;
 use crate::schemas::Forms;
 use crate::scope::{Scope, shown};
 use crate::symbols::describe;
@@ -72,7 +72,7 @@ impl Workspace {
         let offset = document.lines.offset(&source.text, position);
         let Some(cursor) = Cursor::at(source, offset) else { return Vec::new() };
         // A file that does not say yet what it is begins like a chart, or with the key of another kind.
-        let kind = document.kind.unwrap_or(Kind::Chart);
+        let kind = document.kind.unwrap_or(FileKind::Chart);
         let nothing_else = cursor.path.is_empty() && cursor.siblings(source).is_empty();
         if document.kind.is_none() && !(nothing_else && cursor.place == Place::Key) {
             return Vec::new();
@@ -96,7 +96,7 @@ struct Completing<'w> {
     workspace: &'w Workspace,
     path: &'w Path,
     document: &'w Document,
-    kind: Kind,
+    kind: FileKind,
     forms: Forms<'w>,
     readable: Option<&'w Analysis>,
     source: &'w Source,
@@ -151,7 +151,7 @@ impl Completing<'_> {
         let analysis = self.readable?;
         let tested;
         let (library, outline);
-        if self.kind == Kind::Test {
+        if self.kind == FileKind::Test {
             tested = self.workspace.tested(analysis)?;
             let chart = tested.charts.get(&tested.root)?;
             let outline = armarium_runtime::chart::Outline::of(chart);
@@ -176,10 +176,10 @@ impl Completing<'_> {
 
     fn keys(&self, cursor: &Cursor) -> Vec<Proposal> {
         if self.document.kind.is_none() {
-            let first = |(kind, key): (Kind, &'static str)| {
+            let first = |(kind, key): (FileKind, &'static str)| {
                 Proposal::new(key, Icon::FILE).detail(kind.called()).insert(format!("{key}: "))
             };
-            return Kind::ALL.into_iter().map(first).collect();
+            return FileKind::ALL.into_iter().map(first).collect();
         }
         let present = cursor.siblings(self.source);
         let colon = self.source.text[cursor.word.end..].trim_start_matches(' ').starts_with(':');
@@ -221,13 +221,13 @@ impl Completing<'_> {
                 .rank(if parameter.default.is_none() { 0 } else { 2 })
         };
         let found = self.scoped(cursor, |scope| match (self.kind, under) {
-            (Kind::Chart, "transitions") => self.answers(scope),
-            (Kind::Chart, "with") => {
+            (FileKind::Chart, "transitions") => self.answers(scope),
+            (FileKind::Chart, "with") => {
                 let given: Vec<&Parameter> =
                     self.entered(cursor, scope).iter().flat_map(|s| scope.inputs(*s)).collect();
                 given.into_iter().map(input).collect()
             }
-            (Kind::Chart, "assign") => {
+            (FileKind::Chart, "assign") => {
                 let of = |section: &str, parameters: &[Parameter]| -> Vec<Proposal> {
                     let one = |p: &Parameter| {
                         Proposal::new(format!("{section}.{}", p.name), Icon::VARIABLE)
@@ -239,10 +239,10 @@ impl Completing<'_> {
                 let sections = [of("locals", &scope.chart.locals), of("outputs", &scope.chart.outputs)];
                 sections.into_iter().flatten().collect()
             }
-            (Kind::Test, "given") => scope.chart.inputs.iter().map(input).collect(),
-            (Kind::Test, "locals") => scope.chart.locals.iter().map(input).collect(),
-            (Kind::Test, "outputs") => scope.chart.outputs.iter().map(input).collect(),
-            (Kind::Test, "skills") => {
+            (FileKind::Test, "given") => scope.chart.inputs.iter().map(input).collect(),
+            (FileKind::Test, "locals") => scope.chart.locals.iter().map(input).collect(),
+            (FileKind::Test, "outputs") => scope.chart.outputs.iter().map(input).collect(),
+            (FileKind::Test, "skills") => {
                 let skills = scope.library.charts.values().flat_map(|chart| {
                     armarium_runtime::chart::Outline::of(chart).states.into_iter().filter_map(|state| {
                         match state.kind {
@@ -347,14 +347,14 @@ impl Completing<'_> {
             let skills = self.workspace.catalog.registry.manifests();
             proposals.extend(skills.map(|manifest| self.skill_state(cursor, manifest)));
         }
-        if forms.is("chart") || self.kind == Kind::Test && cursor.key() == Some("test") {
+        if forms.is("chart") || self.kind == FileKind::Test && cursor.key() == Some("test") {
             let charts = self.workspace.charts(self.path);
             proposals.extend(charts.into_iter().map(|(name, files)| {
                 let file = files
                     .first()
                     .and_then(|f| f.file_name())
                     .map_or_else(String::new, |f| f.to_string_lossy().into());
-                let insert = if self.kind == Kind::Test { file.clone() } else { name.clone() };
+                let insert = if self.kind == FileKind::Test { file.clone() } else { name.clone() };
                 Proposal::new(name, Icon::CLASS).detail(file).insert(insert)
             }));
         }
@@ -374,7 +374,7 @@ impl Completing<'_> {
             if forms.is("targets") || forms.is("transition_list") || forms.is("entry") {
                 proposals.extend(self.targets(cursor, scope));
             }
-            if forms.is("event") || self.kind == Kind::Test && cursor.key() == Some("event") {
+            if forms.is("event") || self.kind == FileKind::Test && cursor.key() == Some("event") {
                 proposals.extend(
                     self.events(scope)
                         .into_iter()
@@ -384,7 +384,7 @@ impl Completing<'_> {
             if forms.is("outcome") {
                 proposals.extend(["success", "failure"].map(|name| Proposal::new(name, Icon::EVENT)));
             }
-            if self.kind == Kind::Test {
+            if self.kind == FileKind::Test {
                 proposals.extend(self.in_test(cursor, scope));
             }
             proposals
@@ -462,7 +462,7 @@ impl Completing<'_> {
     /// What may be given to an input: its words, and variables that fit.
     fn given(&self, cursor: &Cursor, quoted: bool) -> Vec<Proposal> {
         let under = |key: &str| cursor.path.iter().any(|step| matches!(step, Step::Key(name) if name == key));
-        if self.kind == Kind::Chart && under("assign") {
+        if self.kind == FileKind::Chart && under("assign") {
             let assigned = self.scoped(cursor, |scope| {
                 let (section, name) = cursor.key()?.split_once('.')?;
                 let of = match section {
@@ -473,7 +473,7 @@ impl Completing<'_> {
             });
             return assigned.flatten().unwrap_or_default();
         }
-        if self.kind != Kind::Chart || !under("with") {
+        if self.kind != FileKind::Chart || !under("with") {
             return Vec::new();
         }
         let with = Cursor {

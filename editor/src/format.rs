@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_source::yaml::{self, Node, Yaml};
-use armarium_source::{Edit, Entry, Finding, Findings, Layout, Source, Span, applied};
+use armarium_source::{Edit, Finding, Findings, Layout, LayoutEntry, Source, Span, applied};
 
 /// Lines that are longer are broken, if they hold a map between brackets.
 const MAX_WIDTH: usize = 120;
@@ -250,7 +250,7 @@ fn columns(layout: &Layout) -> Vec<usize> {
 }
 
 /// The column of a line that belongs to an entry that was moved: as far right of it as before.
-fn shifted(old: usize, entry: &Entry, column: usize) -> usize {
+fn shifted(old: usize, entry: &LayoutEntry, column: usize) -> usize {
     (old + column).saturating_sub(entry.column).max(if old > entry.column { column + 1 } else { column })
 }
 

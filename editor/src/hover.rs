@@ -56,7 +56,7 @@ impl Workspace {
     fn key(
         &self,
         source: &armarium_source::Source,
-        kind: crate::kind::Kind,
+        kind: crate::kind::FileKind,
         offset: usize,
     ) -> Option<(Span, String)> {
         let cursor = Cursor::at(source, offset).filter(|cursor| cursor.place == Place::Key)?;

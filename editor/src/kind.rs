@@ -13,7 +13,7 @@ use serde_json::Value as Json;
 
 /// A kind of file that people write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum FileKind {
     /// A statechart.
     Chart,
     /// A world of the simulator.
@@ -46,7 +46,7 @@ pub struct Checked {
     pub library: Option<Library>,
 }
 
-impl Kind {
+impl FileKind {
     /// Every kind with the key that its files begin with.
     pub const ALL: [(Self, &'static str); 6] = [
         (Self::Chart, "statechart"),
@@ -113,7 +113,7 @@ pub fn check(path: &Path, folders: &[PathBuf], files: &dyn Files, catalog: &Cata
     match files.read(path) {
         Err(finding) => Checked { findings: vec![*finding], library: None },
         Ok(source) => {
-            let kind = Kind::of(path, &source.text).unwrap_or(Kind::Chart);
+            let kind = FileKind::of(path, &source.text).unwrap_or(FileKind::Chart);
             check_as(kind, source, folders, files, catalog)
         }
     }
@@ -122,22 +122,22 @@ pub fn check(path: &Path, folders: &[PathBuf], files: &dyn Files, catalog: &Cata
 /// As [`check`], of a text that is known to be of a kind.
 #[must_use]
 pub(crate) fn check_as(
-    kind: Kind,
+    kind: FileKind,
     source: Arc<Source>,
     folders: &[PathBuf],
     files: &dyn Files,
     catalog: &Catalog,
 ) -> Checked {
     let read = match kind {
-        Kind::Chart => {
+        FileKind::Chart => {
             let library = chart::load_from(&source.path.clone(), folders, files);
             let findings = chart::check(&library, &catalog.registry, &catalog.channels).findings;
             return Checked { findings, library: Some(library) };
         }
-        Kind::World => World::read(source, 1).map(drop),
-        Kind::Test => check_test(source, folders, files, catalog),
-        Kind::Robot => return Checked { findings: description::check(source, files), library: None },
-        Kind::Object | Kind::Scene => Err(prior::file::check(&source, files)),
+        FileKind::World => World::read(source, 1).map(drop),
+        FileKind::Test => check_test(source, folders, files, catalog),
+        FileKind::Robot => return Checked { findings: description::check(source, files), library: None },
+        FileKind::Object | FileKind::Scene => Err(prior::file::check(&source, files)),
     };
     Checked { findings: read.err().unwrap_or_default(), library: None }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 
-use armarium_runtime::chart::{Library, Reference, Symbol};
+use armarium_runtime::chart::{Library, NameReference, Symbol};
 use armarium_source::{Source, Span};
 use lsp_types::{Location, Position, Range, Uri};
 
@@ -14,8 +14,8 @@ use crate::uri;
 use crate::workspace::{Analysis, Workspace};
 
 /// The names of a file and of those that it names, with the files of its charts.
-pub(crate) struct Names<'a> {
-    pub(crate) references: &'a [Reference],
+pub(crate) struct FileNames<'a> {
+    pub(crate) references: &'a [NameReference],
     charts: BTreeMap<String, PathBuf>,
 }
 
@@ -27,10 +27,10 @@ impl Workspace {
         let document = self.document(path)?;
         let offset = document.lines.offset(&document.source.text, position);
         let there = shift.map(offset)?;
-        let at = |reference: &&Reference| {
+        let at = |reference: &&NameReference| {
             reference.source.path == path && reference.span.start <= there && there <= reference.span.end
         };
-        let found: Vec<&Reference> = self.references(&analysis).iter().filter(at).collect();
+        let found: Vec<&NameReference> = self.references(&analysis).iter().filter(at).collect();
         // Of names that touch, the one after the place; of one inside of the other, the inner.
         let best = found
             .iter()
@@ -44,8 +44,8 @@ impl Workspace {
         let path = uri::path(uri);
         let Some((_, symbols)) = self.symbols_at(&path, position) else { return Vec::new() };
         let Some((analysis, _)) = self.readable(&path) else { return Vec::new() };
-        let defines = |r: &&Reference| r.definition && symbols.contains(&r.symbol);
-        let found: Vec<Reference> = self.references(&analysis).iter().filter(defines).cloned().collect();
+        let defines = |r: &&NameReference| r.definition && symbols.contains(&r.symbol);
+        let found: Vec<NameReference> = self.references(&analysis).iter().filter(defines).cloned().collect();
         let found = self.locations(&found);
         if found.is_empty() {
             symbols.iter().filter_map(|symbol| self.declaration(symbol)).collect()
@@ -68,22 +68,23 @@ impl Workspace {
         let path = uri::path(uri);
         let Some((_, symbols)) = self.symbols_at(&path, position) else { return Vec::new() };
         let found = self.uses(&path, &symbols.into_iter().collect());
-        let wanted: Vec<Reference> = found.into_iter().filter(|r| with_definition || !r.definition).collect();
+        let wanted: Vec<NameReference> =
+            found.into_iter().filter(|r| with_definition || !r.definition).collect();
         self.locations(&wanted)
     }
 
     /// The uses of symbols that a file knows, in the whole workspace, ordered by file and place, each once.
-    pub(crate) fn uses(&mut self, path: &Path, symbols: &BTreeSet<Symbol>) -> Vec<Reference> {
+    pub(crate) fn uses(&mut self, path: &Path, symbols: &BTreeSet<Symbol>) -> Vec<NameReference> {
         let Some((from, _)) = self.readable(path) else { return Vec::new() };
         let everything = self.all(&from);
-        let names: Vec<Names<'_>> = everything.iter().map(|analysis| self.names(analysis)).collect();
+        let names: Vec<FileNames<'_>> = everything.iter().map(|analysis| self.names(analysis)).collect();
         let Some(own) = names.iter().zip(&everything).find(|(_, a)| a.source.path == path) else {
             return Vec::new();
         };
         let connected = connected(own.0, &names, symbols);
-        let mut found: Vec<Reference> = Vec::new();
+        let mut found: Vec<NameReference> = Vec::new();
         for names in names.iter().filter(|names| names.reaches(&connected)) {
-            let same = |r: &&Reference| {
+            let same = |r: &&NameReference| {
                 let chart = |chart: &str| {
                     own.0.charts.get(chart).is_none_or(|file| names.charts.get(chart) == Some(file))
                 };
@@ -107,7 +108,7 @@ impl Workspace {
         everything
     }
 
-    pub(crate) fn names<'a>(&self, analysis: &'a Analysis) -> Names<'a> {
+    pub(crate) fn names<'a>(&self, analysis: &'a Analysis) -> FileNames<'a> {
         let references = self.references(analysis);
         let files = |library: &Library| -> BTreeMap<String, PathBuf> {
             library.charts.iter().map(|(name, chart)| (name.clone(), chart.source.path.clone())).collect()
@@ -116,10 +117,10 @@ impl Workspace {
             Some(library) => files(library),
             None => self.tested(analysis).as_ref().map_or_else(BTreeMap::new, files),
         };
-        Names { references, charts }
+        FileNames { references, charts }
     }
 
-    fn locations(&self, references: &[Reference]) -> Vec<Location> {
+    fn locations(&self, references: &[NameReference]) -> Vec<Location> {
         let mut found = Vec::new();
         let mut seen = BTreeSet::new();
         let mut on_disk: Option<(&Path, Lines)> = None;
@@ -144,10 +145,13 @@ impl Workspace {
     }
 
     /// Where references are in the present texts of their files: none where that was changed.
-    pub(crate) fn present<'r>(&self, references: &'r [Reference]) -> Vec<(&'r Reference, Option<Span>)> {
+    pub(crate) fn present<'r>(
+        &self,
+        references: &'r [NameReference],
+    ) -> Vec<(&'r NameReference, Option<Span>)> {
         // Texts are compared once for all references to one.
         let mut last: Option<(&Arc<Source>, Option<Shift>)> = None;
-        let mut place = |reference: &'r Reference| {
+        let mut place = |reference: &'r NameReference| {
             let shift = match last {
                 Some((source, shift)) if Arc::ptr_eq(source, &reference.source) => shift,
                 _ => self.document(&reference.source.path).and_then(|document| {
@@ -162,15 +166,19 @@ impl Workspace {
     }
 }
 
-impl Names<'_> {
+impl FileNames<'_> {
     fn reaches(&self, files: &BTreeSet<&Path>) -> bool {
         self.charts.values().any(|file| files.contains(file.as_path()))
     }
 }
 
 /// The files that a symbol is used in, from one library to the next: an event is one only where charts use each other.
-fn connected<'n>(own: &'n Names<'n>, all: &'n [Names<'n>], symbols: &BTreeSet<Symbol>) -> BTreeSet<&'n Path> {
-    let using = |names: &'n Names<'n>| {
+fn connected<'n>(
+    own: &'n FileNames<'n>,
+    all: &'n [FileNames<'n>],
+    symbols: &BTreeSet<Symbol>,
+) -> BTreeSet<&'n Path> {
+    let using = |names: &'n FileNames<'n>| {
         let uses = names.references.iter().filter(|r| symbols.contains(&r.symbol));
         uses.map(|r| r.source.path.as_path()).collect::<BTreeSet<&Path>>()
     };

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use armarium_runtime::chart::{Reference, Section, SkillPart, Symbol, is_name};
+use armarium_runtime::chart::{NameReference, Section, SkillPart, Symbol, is_name};
 use armarium_source::{Edit, Source, applied};
 use lsp_types::{
     DocumentChanges, OneOf, OptionalVersionedTextDocumentIdentifier, Position, Range, TextDocumentEdit,
@@ -117,7 +117,7 @@ impl Workspace {
         &mut self,
         path: &Path,
         mut symbols: BTreeSet<Symbol>,
-    ) -> Result<(BTreeSet<Symbol>, Vec<Reference>), RenameError> {
+    ) -> Result<(BTreeSet<Symbol>, Vec<NameReference>), RenameError> {
         loop {
             symbols.iter().try_for_each(ours)?;
             let uses = self.uses(path, &symbols);
@@ -178,8 +178,9 @@ impl Workspace {
             // The other thing of that name: in this file and of the same kind if there is one.
             let others = || uses.iter().filter(|r| r.definition && r.symbol.name() == name);
             let kinds: Vec<_> = symbols.iter().map(std::mem::discriminant).collect();
-            let elsewhere =
-                |r: &&Reference| (r.source.path != path, !kinds.contains(&std::mem::discriminant(&r.symbol)));
+            let elsewhere = |r: &&NameReference| {
+                (r.source.path != path, !kinds.contains(&std::mem::discriminant(&r.symbol)))
+            };
             let declared = others().min_by_key(elsewhere).map(|r| r.source.place(r.span.start));
             let taken = |place: String| RenameError::Taken {
                 name: name.to_owned(),

@@ -8,11 +8,11 @@ use armarium_runtime::chart::Registry;
 use serde_json::{Map, Value as Json};
 
 use crate::cursor::Step;
-use crate::kind::Kind;
+use crate::kind::FileKind;
 
 /// The schemas of all kinds.
 #[derive(Debug)]
-pub(crate) struct Schemas(BTreeMap<Kind, Json>);
+pub(crate) struct Schemas(BTreeMap<FileKind, Json>);
 
 /// What may stand at a place: one of several forms.
 #[derive(Clone, Debug)]
@@ -34,11 +34,11 @@ pub(crate) struct KeyForm<'s> {
 
 impl Schemas {
     pub(crate) fn new(registry: &Registry) -> Self {
-        Self(Kind::ALL.into_iter().map(|(kind, _)| (kind, kind.schema(registry))).collect())
+        Self(FileKind::ALL.into_iter().map(|(kind, _)| (kind, kind.schema(registry))).collect())
     }
 
     /// What may stand under a path of keys.
-    pub(crate) fn at(&self, kind: Kind, path: &[Step]) -> Forms<'_> {
+    pub(crate) fn at(&self, kind: FileKind, path: &[Step]) -> Forms<'_> {
         let root = &self.0[&kind];
         let mut forms = Forms { root, nodes: Vec::new(), names: Vec::new() };
         forms.spread(root, 0);

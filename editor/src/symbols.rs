@@ -7,7 +7,7 @@ use lsp_types::{
 };
 use serde_json::json;
 
-use crate::kind::Kind;
+use crate::kind::FileKind;
 use crate::text::Lines;
 use crate::uri;
 use crate::workspace::Workspace;
@@ -78,7 +78,7 @@ impl Workspace {
         };
         let top = |key: &str| layout.child(&source.text, None, key).map(|at| layout.entries[at].key.start);
         match document.kind {
-            Some(Kind::Chart) => top("statechart").map_or_else(Vec::new, |at| {
+            Some(FileKind::Chart) => top("statechart").map_or_else(Vec::new, |at| {
                 let mut lenses =
                     vec![lens(at, "Run", "armarium.run", None), lens(at, "Graph", "armarium.graph", None)];
                 let cases = path.with_extension("test.yaml");
@@ -87,7 +87,7 @@ impl Workspace {
                 }
                 lenses
             }),
-            Some(Kind::Test) => {
+            Some(FileKind::Test) => {
                 let all = top("test").map(|at| lens(at, "Test", "armarium.test", None));
                 all.into_iter().collect()
             }
@@ -98,7 +98,7 @@ impl Workspace {
     /// The path of the state that a place of a chart is in; empty at the chart's head.
     pub fn state_at(&mut self, uri: &Uri, position: Position) -> Option<String> {
         let document =
-            self.document(&uri::path(uri)).filter(|document| document.kind == Some(Kind::Chart))?;
+            self.document(&uri::path(uri)).filter(|document| document.kind == Some(FileKind::Chart))?;
         let source = &document.source;
         let offset = document.lines.offset(&source.text, position);
         let cursor = crate::cursor::Cursor::at(source, offset)?;

@@ -6,13 +6,13 @@ use std::path::{Component, Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 
-use armarium_runtime::chart::{self, Chart, Library, Outline, Reference};
+use armarium_runtime::chart::{self, Chart, Library, NameReference, Outline};
 use armarium_source::yaml::{self, Node};
 use armarium_source::{Disk, Files, Finding, Findings, Source, code, is_yaml};
 use lsp_types::{TextDocumentContentChangeEvent, TextEdit, Uri};
 
 use crate::cases;
-use crate::kind::{Catalog, Kind, check_as};
+use crate::kind::{Catalog, FileKind, check_as};
 use crate::schemas::Schemas;
 use crate::text::{Lines, Shift, changed};
 use crate::uri;
@@ -41,7 +41,7 @@ pub(crate) struct Document {
     pub(crate) source: Arc<Source>,
     pub(crate) lines: Lines,
     /// The kind that its text said last: a file that is being written does not lose it.
-    pub(crate) kind: Option<Kind>,
+    pub(crate) kind: Option<FileKind>,
     analysis: Option<Rc<Analysis>>,
     /// The newest analysis of a text that was YAML.
     readable: Option<Rc<Analysis>>,
@@ -51,7 +51,7 @@ pub(crate) struct Document {
 #[derive(Debug)]
 pub(crate) struct Analysis {
     pub(crate) source: Arc<Source>,
-    pub(crate) kind: Kind,
+    pub(crate) kind: FileKind,
     /// Everything that is wrong with it and with what it names.
     pub(crate) findings: Vec<Finding>,
     /// A chart with those that it names.
@@ -59,7 +59,7 @@ pub(crate) struct Analysis {
     uses: Uses,
     tree: OnceCell<Option<Arc<Node>>>,
     outline: OnceCell<Option<Outline>>,
-    references: OnceCell<Vec<Reference>>,
+    references: OnceCell<Vec<NameReference>>,
 }
 
 /// What an analysis has looked at besides its text.
@@ -126,7 +126,7 @@ impl Workspace {
         let before = self.documents.remove(&path);
         let (kind, readable) = before.map_or((None, None), |before| (before.kind, before.readable));
         let source = edited(&path, text, readable.as_deref());
-        let kind = Kind::of(&path, &source.text).or(kind);
+        let kind = FileKind::of(&path, &source.text).or(kind);
         let lines = Lines::of(&source.text);
         let document = Document { uri, version, source, lines, kind, analysis: None, readable };
         self.documents.insert(path.clone(), document);
@@ -139,7 +139,7 @@ impl Workspace {
         let Some(document) = self.documents.get_mut(&path) else { return };
         let (text, lines) = changed((&document.source.text, &document.lines), changes);
         (document.version, document.lines) = (version, lines);
-        document.kind = Kind::of(&path, &text).or(document.kind);
+        document.kind = FileKind::of(&path, &text).or(document.kind);
         document.source = edited(&path, text, document.readable.as_deref());
         document.analysis = None;
         self.touched(&path);
@@ -165,7 +165,7 @@ impl Workspace {
             let uses_it = |uses: &Uses| {
                 uses.files.contains(path) || path.parent().is_some_and(|folder| uses.folders.contains(folder))
             };
-            if document.kind == Some(Kind::Test) || uses.is_some_and(uses_it) {
+            if document.kind == Some(FileKind::Test) || uses.is_some_and(uses_it) {
                 document.analysis = None;
             }
         }
@@ -222,7 +222,7 @@ impl Workspace {
         Some((Rc::clone(analysis), Shift::between(&document.source.text, &analysis.source.text)))
     }
 
-    fn analyse(&self, kind: Kind, source: &Arc<Source>) -> Analysis {
+    fn analyse(&self, kind: FileKind, source: &Arc<Source>) -> Analysis {
         let overlay = self.overlay();
         let checked = check_as(kind, Arc::clone(source), &self.folders, &overlay, &self.catalog);
         Analysis {
@@ -252,13 +252,13 @@ impl Workspace {
     }
 
     /// The names in a document, and in the files that it names, with what they stand for.
-    pub(crate) fn references<'a>(&self, analysis: &'a Analysis) -> &'a [Reference] {
+    pub(crate) fn references<'a>(&self, analysis: &'a Analysis) -> &'a [NameReference] {
         analysis.references.get_or_init(|| {
             let index =
                 |library: &Library| chart::index(library, &self.catalog.registry, &self.catalog.channels);
             match (&analysis.library, analysis.kind) {
                 (Some(library), _) => index(library),
-                (None, Kind::Test) => self.tested(analysis).map_or_else(Vec::new, |library| {
+                (None, FileKind::Test) => self.tested(analysis).map_or_else(Vec::new, |library| {
                     let mut references = index(&library);
                     if let Some(tree) = analysis.tree() {
                         references.extend(cases::references(&analysis.source, tree, &library, &references));
@@ -285,7 +285,7 @@ impl Workspace {
                 return Some(Rc::clone(analysis));
             }
             let source = overlay.read(&path).ok()?;
-            let kind = Kind::of(&path, &source.text)?;
+            let kind = FileKind::of(&path, &source.text)?;
             Some(Rc::new(self.analyse(kind, &source)))
         };
         files.into_iter().filter_map(one).collect()
@@ -333,7 +333,7 @@ impl Analysis {
 
 /// The text of a document, of which not more is read again than was changed since it was YAML last.
 fn edited(path: &Path, text: String, readable: Option<&Analysis>) -> Arc<Source> {
-    Arc::new(Source::edited(path, text, readable.map(|analysis| &*analysis.source)))
+    Arc::new(yaml::edited(path, text, readable.map(|analysis| &*analysis.source)))
 }
 
 /// Adds the YAML files of a folder and of those inside it, but not of hidden ones and of what tools make.

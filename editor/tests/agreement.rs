@@ -5,7 +5,7 @@ mod fixture;
 use std::path::Path;
 
 use armarium_editor::lsp_types::{Position, Range, TextDocumentContentChangeEvent};
-use armarium_editor::{Kind, Workspace, check, format};
+use armarium_editor::{FileKind, Workspace, check, format};
 use armarium_source::{Disk, Layout, yaml};
 use fixture::{catalog, charts, shipped, uri};
 use proptest::prelude::*;
@@ -42,7 +42,7 @@ fn compared(workspace: &mut Workspace, file: &Path) {
     let address = uri(file);
     let text = workspace.text(&address).expect("it is open").to_owned();
     let found = workspace.findings(&address);
-    if Kind::of(file, &text).is_none() {
+    if FileKind::of(file, &text).is_none() {
         return;
     }
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -65,7 +65,7 @@ class Preview {
       const [chart, picture] = [path.join(folder, 'chart.yaml'), path.join(folder, 'chart.svg')];
       await fs.writeFile(chart, this.document.getText());
       const problem = await new Promise((resolve) => {
-        execFile(this.program(), ['graph', chart, '-o', picture], { timeout: 20_000 }, (error, out) => resolve(error && (out || error.message)));
+        execFile(this.program(), ['graph', chart, '-o', picture, '--depth', '99'], { timeout: 20_000 }, (error, out) => resolve(error && (out || error.message)));
       });
       if (!this.panel) return;
       this.panel.title = path.basename(this.document.uri.fsPath || 'Chart');

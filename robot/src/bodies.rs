@@ -181,7 +181,13 @@ impl Bodies {
         let hand = self.bodies.iter().position(|body| body.link == carrier && body.name.is_none());
         for pair in 0..before {
             let [a, b] = self.pairs[pair].bodies;
-            let other = if Some(a) == hand { b } else if Some(b) == hand { a } else { continue };
+            let other = if Some(a) == hand {
+                b
+            } else if Some(b) == hand {
+                a
+            } else {
+                continue;
+            };
             let same = self.bodies[other].name.as_ref() == Some(&load.name);
             if !same && !holders.contains(&other) {
                 self.pairs.push(self.whole([other, index]));
@@ -248,7 +254,10 @@ impl Bodies {
 
     /// For the links that carry a body which moves, the radius of a ball around the link's origin that holds it, m.
     pub(crate) fn radii(&self) -> impl Iterator<Item = (LinkId, f64)> {
-        self.bodies.iter().filter(|body| body.link != LinkId(0)).map(|body| (body.link, body.center.coords.norm() + body.radius))
+        self.bodies
+            .iter()
+            .filter(|body| body.link != LinkId(0))
+            .map(|body| (body.link, body.center.coords.norm() + body.radius))
     }
 }
 

@@ -15,7 +15,7 @@ use crate::yaml::{self, Entries, Node, Yaml};
 
 /// A key of a section.
 #[derive(Clone, Copy, Debug)]
-pub struct Key {
+pub struct FormKey {
     /// The key.
     pub name: &'static str,
     /// What it says, for people.
@@ -26,7 +26,7 @@ pub struct Key {
     pub schema: fn() -> Json,
 }
 
-impl Key {
+impl FormKey {
     /// A key that may be left out.
     pub const fn new(name: &'static str, doc: &'static str, schema: fn() -> Json) -> Self {
         Self { name, doc, required: false, schema }
@@ -45,7 +45,7 @@ pub trait Form: Field + Default + Serialize {
     const CALLED: &'static str;
 
     /// Its keys, in their order.
-    fn keys() -> Vec<Key>;
+    fn keys() -> Vec<FormKey>;
 
     /// Takes over what stands under one of its keys.
     fn take(&mut self, key: &str, node: &Node, findings: &mut Findings);
@@ -77,24 +77,24 @@ impl Findings {
     }
 
     /// Adds a finding for each key that a form does not have.
-    pub fn known(&mut self, entries: &Entries, keys: &[Key], called: &str) {
-        self.known_or(entries, keys, called, |_| None);
+    pub fn known(&mut self, entries: &Entries, keys: &[FormKey], called: &str) {
+        self.known_or(entries, keys, called, |_, _| None);
     }
 
     /// As [`Findings::known`]; `meant` knows words of other languages: what to do instead, and the key if it is the same with
-    /// another name.
+    /// another name and the value has its form.
     pub fn known_or(
         &mut self,
         entries: &Entries,
-        keys: &[Key],
+        keys: &[FormKey],
         called: &str,
-        meant: impl Fn(&str) -> Option<(&'static str, Option<&'static str>)>,
+        meant: impl Fn(&str, &Node) -> Option<(&'static str, Option<&'static str>)>,
     ) {
         let names = || keys.iter().map(|key| key.name);
-        for (key, _) in entries.iter().filter(|(key, _)| !names().any(|name| name == key.text)) {
+        for (key, node) in entries.iter().filter(|(key, _)| !names().any(|name| name == key.text)) {
             let help = format!("{called} has the keys {}", names().collect::<Vec<_>>().join(", "));
             let message = format!("{called} has no key `{}`", key.text);
-            match meant(&key.text) {
+            match meant(&key.text, node) {
                 Some((help, same)) => {
                     self.error_help(code::KEY, key.span, message, Some(help.to_owned()));
                     let free = |same: &&str| {
@@ -180,7 +180,7 @@ fn names_of<F: Form>() -> String {
 }
 
 /// The JSON Schema of a map with these keys and no others.
-pub fn object(keys: &[Key]) -> Json {
+pub fn object(keys: &[FormKey]) -> Json {
     let mut properties = Map::new();
     for key in keys {
         let mut schema = (key.schema)();
@@ -277,10 +277,10 @@ macro_rules! form {
 
         impl $crate::Form for $Form {
             const CALLED: &'static str = $called;
-            fn keys() -> Vec<$crate::Key> {
+            fn keys() -> Vec<$crate::FormKey> {
                 let mut keys = Vec::new();
                 $(
-                    keys.push($crate::Key {
+                    keys.push($crate::FormKey {
                         name: $crate::form!(@key $field $($key)?),
                         doc: concat!($($doc),*),
                         required: $crate::form!(@required $($default)?),
@@ -288,7 +288,7 @@ macro_rules! form {
                     });
                     if let Some(name) = $crate::form!(@rule $($rule)?).radians {
                         let schema = || <$ty as $crate::Field>::schema(&$crate::form!(@rule $($rule)?).in_radians());
-                        keys.push($crate::Key::new(name, "The same in rad, or with a unit: `20 deg`.", schema));
+                        keys.push($crate::FormKey::new(name, "The same in rad, or with a unit: `20 deg`.", schema));
                     }
                 )*
                 keys

@@ -8,7 +8,7 @@ use crate::span::Span;
 
 /// An entry of a map, or an item of a list.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Entry {
+pub struct LayoutEntry {
     /// Its key with the quotes; of an item its dash, between brackets its first byte.
     pub key: Span,
     /// The end of its value, exclusive, without what follows it in its line.
@@ -44,7 +44,7 @@ pub struct Brackets {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Layout {
     /// The entries, parents before children.
-    pub entries: Vec<Entry>,
+    pub entries: Vec<LayoutEntry>,
     /// What stands between brackets.
     pub brackets: Vec<Brackets>,
     /// Comments, from their `#` to the end of the line.
@@ -158,7 +158,7 @@ impl Scanner<'_> {
     fn enter(&mut self, key: Span, flow: bool, item: bool) {
         let column = self.column(key.start);
         let parent = self.open.last().copied();
-        let entry = Entry { key, end: key.end, parent, column, flow, item, value: None };
+        let entry = LayoutEntry { key, end: key.end, parent, column, flow, item, value: None };
         self.open.push(self.layout.entries.len());
         self.layout.entries.push(entry);
     }

@@ -27,14 +27,15 @@ mod stack;
 #[cfg(test)]
 mod tests;
 mod text;
+mod tree;
 pub mod yaml;
 
 pub use draw::{Drawn, draw};
 pub use field::{Field, Rule, word};
 pub use files::{Disk, Files, is_yaml, outermost};
 pub use finding::{Finding, Findings, Severity, suggest};
-pub use form::{Form, Key, object, read, read_node, schema, set};
-pub use layout::{Brackets, Entry, Layout};
+pub use form::{Form, FormKey, object, read, read_node, schema, set};
+pub use layout::{Brackets, Layout, LayoutEntry};
 pub use remedy::{Edit, Remedy, applied};
 pub use span::Span;
 pub use stack::on_a_large_stack;

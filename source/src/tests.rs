@@ -164,12 +164,12 @@ mod edited {
             edits in prop::collection::vec((0..300_usize, 0..6_usize, "[a: \\n{}',&#|~-]{0,5}"), 1..4),
         ) {
             let mut text = TEXT.to_owned();
-            let (mut before, _) = tree(Source::edited("", TEXT, None));
+            let (mut before, _) = tree(yaml::edited("", TEXT, None));
             for (at, length, typed) in edits {
                 let boundary = |at: usize| (0..=at.min(text.len())).rfind(|at| text.is_char_boundary(*at)).unwrap_or(0);
                 let (start, end) = (boundary(at), boundary(at + length));
                 text.replace_range(start..end, &typed);
-                let (now, edited) = tree(Source::edited("", text.as_str(), Some(&before)));
+                let (now, edited) = tree(yaml::edited("", text.as_str(), Some(&before)));
                 prop_assert_eq!(&edited, &tree(Source::new("", text.as_str())).1, "{}", text);
                 if edited.is_some() {
                     before = now;

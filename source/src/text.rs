@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use crate::layout::Layout;
-use crate::yaml::{self, Node};
+use crate::tree::Node;
 
 /// A file's text, kept so that findings can show it.
 #[derive(Debug)]
@@ -21,11 +21,11 @@ pub struct Source {
 }
 
 /// The tree of a text.
-#[derive(Debug)]
-struct KeptTree {
-    root: Arc<Node>,
+#[derive(Clone, Debug)]
+pub(crate) struct KeptTree {
+    pub(crate) root: Arc<Node>,
     /// Whether each entry of its maps can be read by itself.
-    divisible: bool,
+    pub(crate) divisible: bool,
 }
 
 impl PartialEq for Source {
@@ -45,29 +45,22 @@ impl Source {
         Self { path: path.into(), text, lines, layout: OnceLock::new(), tree: None }
     }
 
-    /// A text that is being edited, and what it was before: its tree is kept, and what the edit left as it was is not read again.
-    #[must_use]
-    pub fn edited(path: impl Into<PathBuf>, text: impl Into<String>, before: Option<&Self>) -> Self {
-        let mut source = Self::new(path, text);
-        let tree = before.and_then(|before| {
-            let kept = before.tree.as_ref()?.get().filter(|kept| kept.divisible)?;
-            let root = yaml::after_edit(&before.text, &kept.root, &source.text)?;
-            Some(KeptTree { root: Arc::new(root), divisible: true })
-        });
-        source.tree = Some(tree.map_or_else(OnceLock::new, OnceLock::from));
-        source
+    /// A text that keeps its tree once it is read, or has it already.
+    pub(crate) fn with_tree(path: impl Into<PathBuf>, text: String, tree: Option<KeptTree>) -> Self {
+        let tree = tree.map_or_else(OnceLock::new, OnceLock::from);
+        Self { tree: Some(tree), ..Self::new(path, text) }
     }
 
     /// The tree, if it is kept and was read.
-    pub(crate) fn tree(&self) -> Option<Arc<Node>> {
-        self.tree.as_ref()?.get().map(|kept| Arc::clone(&kept.root))
+    pub(crate) fn tree(&self) -> Option<&KeptTree> {
+        self.tree.as_ref()?.get()
     }
 
-    /// Keeps the tree if the text is being edited.
-    pub(crate) fn keep(&self, root: &Arc<Node>, divisible: bool) {
+    /// Keeps the tree where it is to be kept.
+    pub(crate) fn keep(&self, tree: &KeptTree) {
         if let Some(kept) = &self.tree {
             // Another reader may have been first, with the same tree.
-            let _ = kept.set(KeptTree { root: Arc::clone(root), divisible });
+            let _ = kept.set(tree.clone());
         }
     }
 

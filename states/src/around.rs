@@ -66,7 +66,8 @@ impl Around {
             .collect();
         let loads = equipment.robot.loads();
         let in_the_way = |known: &Known| {
-            let held = loads.values().any(|load| known.thing.as_ref().is_some_and(|id| id.as_str() == load.name));
+            let held =
+                loads.values().any(|load| known.thing.as_ref().is_some_and(|id| id.as_str() == load.name));
             let at_hand = || grasps.iter().any(|grasp| distance(&known.shape, grasp) < AT_HAND);
             known.thing.is_none() || !(held || at_hand())
         };
@@ -225,4 +226,3 @@ pub(crate) async fn follow(
     }
     Ok(())
 }
-

@@ -15,11 +15,7 @@ const POINTS: usize = 48;
 ///
 /// # Errors
 /// When a point is out of reach, or a joint would exceed its speed limit.
-pub(crate) fn required_speed(
-    equipment: &Equipment,
-    wiper: &Wiper,
-    over: f64,
-) -> Result<f64, Failure> {
+pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) -> Result<f64, Failure> {
     let model = equipment.robot.model();
     let (arm, motion) = (&wiper.arm, wiper.motion());
     let (joints, link) = (arm.joints(), tcp_of(arm.limb())?);

@@ -302,7 +302,12 @@ impl Wiper {
     }
 
     /// Moves the TCP on a straight line to the present point of the path, `over` m over where it was when the tool stood.
-    pub(crate) async fn approach(&mut self, senses: &mut Senses, over: f64, speed: f64) -> Result<(), Failure> {
+    pub(crate) async fn approach(
+        &mut self,
+        senses: &mut Senses,
+        over: f64,
+        speed: f64,
+    ) -> Result<(), Failure> {
         let goal = self.pose(over);
         let mut line = StraightLine::new(self.arm.tcp(&senses.newest()), goal, speed).map_err(failed)?;
         while !line.rested(0.3) {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_editor::lsp_types::{Position, Range, TextDocumentContentChangeEvent, Uri};
-use armarium_editor::{Catalog, Kind, Workspace};
+use armarium_editor::{Catalog, FileKind, Workspace};
 use armarium_runtime::chart::{ChannelSchema, Registry, check, load_text};
 use armarium_runtime::engine::{Effect, Engine, Input, NoSensors};
 use armarium_runtime::import;
@@ -187,7 +187,7 @@ pub fn edits(text: &str) {
             text = now.to_owned();
         }
         let found = workspace.findings(&uri);
-        if Kind::of(Path::new("/fuzz/fuzz.yaml"), &text).is_some() {
+        if FileKind::of(Path::new("/fuzz/fuzz.yaml"), &text).is_some() {
             let file = OneFile(Arc::new(Source::new("/fuzz/fuzz.yaml", text.as_str())));
             let checked = armarium_editor::check(&file.0.path, &[], &file, &nothing()).findings;
             assert_eq!(found, checked, "{text}");

@@ -77,13 +77,7 @@ impl Robot for Scripted {
     fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
         self.sensed.subscribe()
     }
-    fn lease_together(
-        &self,
-        _: &[&str],
-        _: &str,
-        _: LeaseLimits,
-        _: &[String],
-    ) -> Result<Lease, LeaseError> {
+    fn lease_together(&self, _: &[&str], _: &str, _: LeaseLimits, _: &[String]) -> Result<Lease, LeaseError> {
         Ok(Lease::new(Nobody))
     }
     fn tare(&self, _: &str) -> Result<(), RobotError> {

@@ -162,3 +162,20 @@ fn a_recording_that_cannot_be_created_says_where() {
         .expect_err("there is no such folder");
     assert!(error.to_string().contains("/no/such/folder/run.mcap"));
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_the_cause_that_is_named() {
+    use std::error::Error as _;
+
+    let mut recorder = Recorder::create(std::path::Path::new("/dev/full"), BTreeMap::new())
+        .expect("what is written first is collected");
+    let broken = (0..1000_u64).find_map(|second| {
+        recorder.log(second * 1_000_000_000, LogLevel::Info, "A", "on and on");
+        recorder.health().err()
+    });
+    let error = broken.expect("nothing can be written there");
+    let causes = std::iter::successors(error.source(), |cause| (*cause).source());
+    let said: Vec<String> = causes.map(ToString::to_string).collect();
+    assert!(said.iter().any(|cause| cause.contains("No space left")), "{said:?}");
+}

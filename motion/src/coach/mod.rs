@@ -264,8 +264,8 @@ impl Coach {
         let distance = |row: usize| self.in_surface(hand - self.path[row]).norm();
         let row = phase::addressed_row(self.path.len(), distance, self.arrival, self.addressed);
         let (phase, nearest) = (self.response.phase(row), distance(row));
-        let ambiguous = self.addressed.is_none()
-            && phase::is_ambiguous(self.path.len(), distance, self.arrival, row);
+        let ambiguous =
+            self.addressed.is_none() && phase::is_ambiguous(self.path.len(), distance, self.arrival, row);
         let offset = hand - self.path[row];
         self.addressed = Some(phase);
         let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {

@@ -59,9 +59,8 @@ pub(super) fn is_ambiguous(
     arrival: Option<f64>,
     row: usize,
 ) -> bool {
-    let (nearest, farthest) = (0..rows)
-        .map(&distance)
-        .fold((f64::INFINITY, 0.0_f64), |(near, far), d| (near.min(d), far.max(d)));
+    let (nearest, farthest) =
+        (0..rows).map(&distance).fold((f64::INFINITY, 0.0_f64), |(near, far), d| (near.min(d), far.max(d)));
     let range = (farthest - nearest).max(1e-6);
     let far = |row: usize| (distance(row) - nearest) / range;
     let phase = |row: usize| TAU * row as f64 / rows as f64;

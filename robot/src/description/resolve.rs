@@ -10,7 +10,8 @@ use super::file::{GroupFile, HandFile, PlatformFile, PoseFile, Position, RobotFi
 use super::platform::{self, JOINTS, LINKS};
 use super::urdf::Tree;
 use crate::model::{
-    Hand, JointKind, Limb, LinkId, Marker, Model, Platform, PlatformKind, RobotLimits, StereoCamera, WrenchSensor,
+    Hand, JointKind, Limb, LinkId, Marker, Model, Platform, PlatformKind, RobotLimits, StereoCamera,
+    WrenchSensor,
 };
 
 /// The model of a robot file whose text is `node`. Names that are not there add findings and are left out.
@@ -251,7 +252,8 @@ impl Resolver<'_> {
         let tree = self.tree;
         let moved = |link: &LinkId| {
             let motions = tree.movers[link.0].iter().filter_map(|mover| tree.links[mover.0].motion);
-            !tree.links[link.0].collisions.is_empty() && motions.into_iter().any(|m| joints.contains(&m.joint))
+            !tree.links[link.0].collisions.is_empty()
+                && motions.into_iter().any(|m| joints.contains(&m.joint))
         };
         (0..tree.links.len()).map(LinkId).filter(moved).collect()
     }

@@ -97,10 +97,12 @@ impl Clearance {
             let moves = |tcp: LinkId| slot.limb.joints.iter().any(|&joint| self.model.moves(joint, tcp));
             let is_hand = |arm: &&crate::Limb| arm.hand.as_ref() == Some(&slot.limb.name);
             let arms = self.model.arms();
-            let arms = arms.filter(|arm| arm.name == slot.limb.name || is_hand(arm) || arm.tcp.is_some_and(moves));
+            let arms =
+                arms.filter(|arm| arm.name == slot.limb.name || is_hand(arm) || arm.tcp.is_some_and(moves));
             let hands: Vec<usize> =
                 arms.filter_map(|arm| arm.tcp).flat_map(|tcp| self.bodies.beyond(&self.model, tcp)).collect();
-            let named = |body: usize| held.touches.iter().any(|name| name == self.bodies.name(&self.model, body));
+            let named =
+                |body: usize| held.touches.iter().any(|name| name == self.bodies.name(&self.model, body));
             for (pair, allowed) in self.allowed.iter_mut().enumerate() {
                 let [a, b] = self.bodies.pair(pair);
                 *allowed |= (hands.contains(&a) && named(b)) || (hands.contains(&b) && named(a));

@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use crate::bodies::{Bodies, least_distance};
 use crate::planning::KnownBox;
 use crate::{
-    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseError, LeaseLimits, Load, LoadShape, Model,
-    Robot, ServoJoints, Wrench, load_mass,
+    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseError, LeaseLimits, Load, LoadShape,
+    Model, Robot, ServoJoints, Wrench, load_mass,
 };
 
 const RIGHT: &str = "right_wrist";
@@ -511,14 +511,9 @@ fn nearest_to_a_board(touches: &[String], load: Option<Load>) -> f64 {
     let boxes = [board];
     let bodies = Bodies::new(&rig.model).with(&rig.model, &loads, &boxes);
     rig.robot.set_surroundings(boxes.to_vec()).unwrap();
-    let lease =
-        rig.robot.lease_together(&["right_arm"], "test", LeaseLimits::default(), touches).unwrap();
-    let mut ik = crate::DifferentialIk::new(
-        &rig.model,
-        tcp,
-        rig.model.limb("right_arm"),
-        crate::IkConfig::default(),
-    );
+    let lease = rig.robot.lease_together(&["right_arm"], "test", LeaseLimits::default(), touches).unwrap();
+    let mut ik =
+        crate::DifferentialIk::new(&rig.model, tcp, rig.model.limb("right_arm"), crate::IkConfig::default());
     let down = crate::Twist { linear: Vector3::new(0.0, 0.0, -0.5), angular: Vector3::zeros() };
     let mut least = f64::INFINITY;
     for _ in 0..600 {

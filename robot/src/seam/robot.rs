@@ -7,8 +7,8 @@ use super::lease::Lease;
 use crate::boundary::{LeaseError, LeaseLimits, Load, Sensed};
 use crate::error::RobotError;
 use crate::model::Model;
-use crate::planning::KnownBox;
 use crate::newest;
+use crate::planning::KnownBox;
 
 /// A robot as skills see it.
 pub trait Robot: Send + Sync {

@@ -33,7 +33,7 @@ pub(super) fn early(program: &Program) -> Vec<Finding> {
     }
     let marked = vec![0; program.states.len()];
     let followed = marked.clone();
-    let mut search = Search { program, marked, followed, mark: 0, visits: 0, waiting: Vec::new() };
+    let mut search = EndSearch { program, marked, followed, mark: 0, visits: 0, waiting: Vec::new() };
     for (id, state) in (0..).zip(&program.states) {
         let mut reads = Vec::new();
         collect(program, state, &mut |code, when| {
@@ -66,7 +66,7 @@ pub(super) fn early(program: &Program) -> Vec<Finding> {
     findings
 }
 
-struct Search<'p> {
+struct EndSearch<'p> {
     program: &'p Program,
     /// The newest search that has visited a state.
     marked: Vec<u32>,
@@ -78,7 +78,7 @@ struct Search<'p> {
     waiting: Vec<StateId>,
 }
 
-impl Search<'_> {
+impl EndSearch<'_> {
     /// Whether one is inside the other, or both may be active together.
     fn related(&self, a: StateId, b: StateId) -> bool {
         let meet = self.program.outward(a).find(|s| self.program.within(b, *s)).unwrap_or(0);

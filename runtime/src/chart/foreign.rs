@@ -1,6 +1,7 @@
 //! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
 
-use armarium_source::Key;
+use armarium_source::FormKey;
+use armarium_source::yaml::{Node, Yaml};
 
 /// A group of words and what they are here.
 type Words = (&'static [&'static str], &'static str);
@@ -131,17 +132,37 @@ const IN_LISTS: &[(&str, &[&str], &str)] = &[
     ("for", &["delay", "after", "time", "timeout", "in"], "in Armarium this is `for: 5s`"),
 ];
 
+/// Whether a value can stand under a key of a chart.
+fn has_form_of(key: &str, node: &Node) -> bool {
+    match key {
+        "enter" | "exit" | "do" => match &node.value {
+            Yaml::List(items) => items.iter().all(|item| matches!(item.value, Yaml::Map(_))),
+            value => matches!(value, Yaml::Map(_)),
+        },
+        "with" | "after" | "states" | "parallel" | "locals" | "retry" => matches!(node.value, Yaml::Map(_)),
+        "transitions" => matches!(node.value, Yaml::Map(_) | Yaml::List(_)),
+        "skill" | "statechart" | "initial" | "target" | "event" | "if" => {
+            matches!(node.value, Yaml::String(_))
+        }
+        _ => true,
+    }
+}
+
 /// What a key that a form with `keys` does not have is here, and the key that stands for it if nothing else changes.
-pub(super) fn meant(key: &str, keys: &[Key]) -> Option<(&'static str, Option<&'static str>)> {
+pub(super) fn meant(
+    key: &str,
+    node: &Node,
+    keys: &[FormKey],
+) -> Option<(&'static str, Option<&'static str>)> {
     let required = |name: &str| keys.iter().any(|key| key.name == name && key.required);
     if let Some((same, _, help)) =
         IN_LISTS.iter().find(|(same, words, _)| required(same) && words.contains(&key))
     {
-        return Some((help, Some(same)));
+        return Some((help, Some(*same).filter(|same| has_form_of(same, node))));
     }
     let (_, help) = WORDS.iter().find(|(words, _)| words.contains(&key))?;
     let same = SAME.iter().find(|(_, words)| words.contains(&key)).map(|(same, _)| *same);
-    Some((help, same))
+    Some((help, same.filter(|same| has_form_of(same, node))))
 }
 
 /// What a file is that is no chart, told by its outermost keys, and what to do.

@@ -12,12 +12,12 @@ use super::flatten::{Inside, Tree, flatten};
 use super::library::Library;
 use super::model::{Chart, Kind};
 use super::scoped::{Scoped, scoped};
-use super::symbols::{Collector, Reference, SkillPart, Symbol, parts};
+use super::symbols::{Collector, NameReference, SkillPart, Symbol, parts};
 use crate::program::{Kind as ProgramKind, Program, StateId};
 
 /// Every name in the charts of a library that are used, ordered by file and place. What stands for nothing is left out.
 #[must_use]
-pub fn index(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Vec<Reference> {
+pub fn index(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Vec<NameReference> {
     on_a_large_stack(|| {
         let collector = Collector::default();
         if let Some(root) = library.charts.get(&library.root) {

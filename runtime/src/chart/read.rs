@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_source::yaml::{Entries, Named, Node, Yaml};
-use armarium_source::{Edit, Findings, Key, Remedy, Span, code};
+use armarium_source::{Edit, Findings, FormKey, Remedy, Span, code};
 use armarium_values::{Type, Unit};
 
 use super::catalog::ChannelDescription;
@@ -102,7 +102,7 @@ pub(super) fn get<'n>(entries: &'n Entries, key: &str) -> Option<&'n Node> {
 }
 
 /// Whether a form has every key. Where it has not, what seems to be missing may be what is misspelt.
-pub(super) fn only_known(entries: &Entries, keys: &[Key]) -> bool {
+pub(super) fn only_known(entries: &Entries, keys: &[FormKey]) -> bool {
     entries.iter().all(|(entry, _)| keys.iter().any(|key| key.name == entry.text))
 }
 
@@ -123,8 +123,8 @@ impl Reader<'_> {
         self.findings.entries(node)
     }
 
-    pub(super) fn known(&mut self, entries: &Entries, keys: &[Key], called: &str) {
-        self.findings.known_or(entries, keys, called, |key| foreign::meant(key, keys));
+    pub(super) fn known(&mut self, entries: &Entries, keys: &[FormKey], called: &str) {
+        self.findings.known_or(entries, keys, called, |key, node| foreign::meant(key, node, keys));
     }
 
     pub(super) fn text(&mut self, node: &Node) -> Option<Named> {
@@ -335,7 +335,7 @@ impl Reader<'_> {
         self.declaration_of(name, node, forms::DECLARATION, "a declaration")
     }
 
-    fn declaration_of(&mut self, name: &Named, node: &Node, keys: &[Key], called: &str) -> Parameter {
+    fn declaration_of(&mut self, name: &Named, node: &Node, keys: &[FormKey], called: &str) -> Parameter {
         let short;
         let entries = if let Yaml::String(_) = &node.value {
             short = vec![(Named { span: node.span, text: "type".into() }, node.clone())];

@@ -335,7 +335,7 @@ impl Reader<'_> {
                 let form = self.entries(item);
                 if let [(event, to)] = form
                     && !only_known(form, forms::EVENT_TRANSITION)
-                    && foreign::meant(&event.text, forms::EVENT_TRANSITION).is_none()
+                    && foreign::meant(&event.text, to, forms::EVENT_TRANSITION).is_none()
                 {
                     self.event_as_a_key(event, to);
                     continue;

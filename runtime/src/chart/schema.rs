@@ -1,7 +1,7 @@
 //! The JSON Schema of chart files, for editors: made from the tables of keys that the reader uses, and from the skills of a
 //! program.
 
-use armarium_source::{Key, object};
+use armarium_source::{FormKey, object};
 use armarium_values::Type;
 use serde_json::{Value as Json, json};
 
@@ -15,7 +15,7 @@ pub fn schema(registry: &Registry) -> Json {
     state["type"] = json!(["object", "null"]);
     let mut action = object(forms::ACTIONS);
     (action["minProperties"], action["maxProperties"]) = (json!(1), json!(1));
-    let or_text = |keys: &[Key]| json!({"anyOf": [{"type": "string"}, object(keys)]});
+    let or_text = |keys: &[FormKey]| json!({"anyOf": [{"type": "string"}, object(keys)]});
     let one_or_list = |name: &str, other: Json| {
         let one = json!({"$ref": format!("#/$defs/{name}")});
         json!({"anyOf": [other, one, {"type": "array", "items": one}]})

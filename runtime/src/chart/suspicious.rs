@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_source::yaml::{Named, Node, Yaml};
-use armarium_source::{Edit, Entry, Finding, Findings, Remedy, Severity, Span, code};
+use armarium_source::{Edit, Finding, Findings, LayoutEntry, Remedy, Severity, Span, code};
 use armarium_values::expr::nearest;
 use armarium_values::{Type, Value};
 
@@ -19,7 +19,7 @@ use crate::program::{Kind, Pattern, Program, StateId};
 
 /// What is suspicious in charts that can be compiled.
 pub(super) fn suspicious(program: &Program, tree: &Tree<'_>, library: &Library) -> Vec<Finding> {
-    let mut search = Search { program, tree, findings: Vec::new() };
+    let mut search = Suspects { program, tree, findings: Vec::new() };
     search.never_ends();
     search.dead_ends(library);
     search.loose_limits();
@@ -85,13 +85,13 @@ fn uses<'t>(tree: &'t Tree<'_>, reached: &[bool]) -> BTreeMap<&'t str, Used> {
     uses
 }
 
-struct Search<'a, 'l> {
+struct Suspects<'a, 'l> {
     program: &'a Program,
     tree: &'a Tree<'l>,
     findings: Vec<Finding>,
 }
 
-impl Search<'_, '_> {
+impl Suspects<'_, '_> {
     fn add(&mut self, severity: Severity, code: &'static str, state: StateId, text: String, help: &str) {
         let flat = self.tree.state(state);
         let mut findings = Findings::new(Arc::clone(&self.tree.sources[flat.source as usize]));
@@ -263,7 +263,7 @@ impl Search<'_, '_> {
         let flat = self.tree.state(state);
         let [target] = &flat.model.always.first()?.targets[..] else { return None };
         let source = &self.tree.sources[flat.source as usize];
-        let written = |entry: &&Entry| entry.value == Some(target.span.start);
+        let written = |entry: &&LayoutEntry| entry.value == Some(target.span.start);
         let key = source.layout().entries.iter().find(written).filter(|entry| {
             !entry.item && source.text.get(entry.key.start..entry.key.end) == Some("always")
         })?;

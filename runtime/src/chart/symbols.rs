@@ -160,7 +160,7 @@ impl Symbol {
 
 /// A place where a name stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Reference {
+pub struct NameReference {
     /// The file.
     pub source: Arc<Source>,
     /// The name's letters, where they stand in the file as they read; otherwise the text that they are in.
@@ -175,7 +175,7 @@ pub struct Reference {
 
 /// References as they are found.
 #[derive(Debug, Default)]
-pub(super) struct Collector(RefCell<Vec<Reference>>);
+pub(super) struct Collector(RefCell<Vec<NameReference>>);
 
 impl Collector {
     /// Adds a name at a place.
@@ -186,14 +186,20 @@ impl Collector {
             (false, Some(inner)) => (inner, true),
             _ => (span, exact),
         };
-        self.0.borrow_mut().push(Reference { source: Arc::clone(source), span, exact, definition, symbol });
+        self.0.borrow_mut().push(NameReference {
+            source: Arc::clone(source),
+            span,
+            exact,
+            definition,
+            symbol,
+        });
     }
 
     /// What was found, ordered by file and place, each once.
-    pub(super) fn into_references(self) -> Vec<Reference> {
+    pub(super) fn into_references(self) -> Vec<NameReference> {
         let mut found = self.0.into_inner();
         found.sort_by(|a, b| {
-            let key = |r: &Reference| (r.span.start, r.span.end);
+            let key = |r: &NameReference| (r.span.start, r.span.end);
             let definitions_first = || b.definition.cmp(&a.definition);
             let by_place = || key(a).cmp(&key(b)).then_with(|| a.symbol.cmp(&b.symbol));
             a.source.by_path(&b.source).then_with(by_place).then_with(definitions_first)

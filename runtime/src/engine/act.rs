@@ -10,8 +10,20 @@ use super::state::{RunContext, TimerUse, Turn};
 use super::{Effect, Engine, TraceItem};
 use crate::program::{Action, ERROR_EXECUTION, Place, Program, Send, StateId, Term};
 
-/// The message of an error and the place in the file.
-type Failed = (String, String);
+/// Why a value could not be had while a chart runs.
+#[derive(Debug)]
+pub(super) struct Failed {
+    /// What is wrong, one sentence.
+    pub(super) message: String,
+    /// The place in the file.
+    pub(super) place: String,
+}
+
+impl Failed {
+    pub(super) fn new(message: impl Into<String>, place: String) -> Self {
+        Self { message: message.into(), place }
+    }
+}
 
 /// Largest number of items that a `foreach` visits.
 const MAX_ITEMS: usize = 10_000;
@@ -33,7 +45,7 @@ impl Engine {
             Term::Literal(value) => Ok(value.clone()),
             Term::Expr(code) => {
                 let view = self.view(turn);
-                let failed = |message| (message, turn.program.place(code.place));
+                let failed = |message| Failed::new(message, turn.program.place(code.place));
                 let value = code.expr.evaluate(&view).map_err(|e| failed(e.message))?;
                 if value.deeper_than(MAX_LEVELS) {
                     return Err(failed(format!("lists and maps are nested deeper than {MAX_LEVELS} levels")));
@@ -49,7 +61,7 @@ impl Engine {
                     }
                     if let (Term::Expr(code), true) = (part, text.len() > MAX_TEXT) {
                         let message = format!("the text has more than {MAX_TEXT} bytes");
-                        return Err((message, turn.program.place(code.place)));
+                        return Err(Failed::new(message, turn.program.place(code.place)));
                     }
                 }
                 Ok(Value::String(text))
@@ -78,7 +90,7 @@ impl Engine {
             *parts += value.parts();
             if *parts > MAX_PARTS {
                 let message = format!("this makes a value of more than {MAX_PARTS} parts");
-                return Err((message, turn.program.place(code.place)));
+                return Err(Failed::new(message, turn.program.place(code.place)));
             }
         }
         Ok(value)
@@ -90,7 +102,7 @@ impl Engine {
             match self.act_one(action, state, turn) {
                 Ok(true) => {}
                 Ok(false) => return false,
-                Err((message, place)) => {
+                Err(Failed { message, place }) => {
                     self.error_at(state, &message, place, turn);
                     return false;
                 }
@@ -103,7 +115,7 @@ impl Engine {
         turn.actions += 1;
         if turn.actions > MAX_ACTIONS {
             let message = format!("more than {MAX_ACTIONS} actions in answer to one event");
-            return Err((message, turn.program.path(state).to_owned()));
+            return Err(Failed::new(message, turn.program.path(state).to_owned()));
         }
         match action {
             Action::Assign { slot, declaration, variable, term, place } => {
@@ -111,7 +123,8 @@ impl Engine {
                 let value = if declaration.holds(&value) {
                     value
                 } else {
-                    let wrong = |error| (format!("`{variable}`: {error}"), turn.program.place(*place));
+                    let wrong =
+                        |error| Failed::new(format!("`{variable}`: {error}"), turn.program.place(*place));
                     declaration.accept(value).map_err(wrong)?
                 };
                 turn.trace(|p| TraceItem::Assigned {
@@ -119,15 +132,15 @@ impl Engine {
                     value: value.clone(),
                 });
                 if !self.store.assign(*slot, value) {
-                    let message = "the chart's variables hold too much".into();
-                    return Err((message, turn.program.place(*place)));
+                    let message = "the chart's variables hold too much";
+                    return Err(Failed::new(message, turn.program.place(*place)));
                 }
             }
             Action::Raise { event, data, place } => {
                 let data = self.optional(data.as_ref(), turn)?;
                 let event = Event::new(*event, data, Origin::Broadcast);
                 if self.internal.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
-                    return Err(("too many events are waiting".into(), turn.program.place(*place)));
+                    return Err(Failed::new("too many events are waiting", turn.program.place(*place)));
                 }
                 self.internal.push_back(event);
             }
@@ -155,7 +168,7 @@ impl Engine {
             Action::If { condition, then, otherwise } => {
                 let view = self.view(turn);
                 let holds = condition.expr.test(&view);
-                let holds = holds.map_err(|e| (e.message, turn.program.place(condition.place)))?;
+                let holds = holds.map_err(|e| Failed::new(e.message, turn.program.place(condition.place)))?;
                 return Ok(self.act(if holds { then } else { otherwise }, state, turn));
             }
             Action::Foreach { items, slot, body, place } => {
@@ -164,12 +177,12 @@ impl Engine {
                     Value::Map(fields) => fields.into_keys().map(Value::String).collect(),
                     other => {
                         let message = format!("expected a list, found {}", other.describe());
-                        return Err((message, turn.program.place(*place)));
+                        return Err(Failed::new(message, turn.program.place(*place)));
                     }
                 };
                 if items.len() > MAX_ITEMS {
                     let message = format!("a list of more than {MAX_ITEMS} items");
-                    return Err((message, turn.program.place(*place)));
+                    return Err(Failed::new(message, turn.program.place(*place)));
                 }
                 for item in items {
                     self.store.data[*slot as usize] = Some(item);
@@ -194,7 +207,7 @@ impl Engine {
             Some(term) => Some(self.evaluate(term, turn)?.as_str().unwrap_or_default().to_owned()),
         };
         if to.as_ref().is_some_and(String::is_empty) {
-            return Err(("`to` names no agent".into(), turn.program.place(send.place)));
+            return Err(Failed::new("`to` names no agent", turn.program.place(send.place)));
         }
         let event = Event::new(send.event, data, Origin::Broadcast);
         let Some(delay) = &send.delay else {
@@ -203,10 +216,13 @@ impl Engine {
         };
         let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
         if !seconds.is_finite() || seconds < 0.0 {
-            return Err((format!("{seconds} s is not a time to wait"), turn.program.place(send.place)));
+            return Err(Failed::new(
+                format!("{seconds} s is not a time to wait"),
+                turn.program.place(send.place),
+            ));
         }
         if self.timers.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
-            return Err(("too many delayed events are waiting".into(), turn.program.place(send.place)));
+            return Err(Failed::new("too many delayed events are waiting", turn.program.place(send.place)));
         }
         self.start_timer(TimerUse::Send { id: send.id.clone(), event, to }, seconds, u64::MAX - 2, turn);
         Ok(())

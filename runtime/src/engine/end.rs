@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use armarium_values::Value;
 
+use super::act::Failed;
 use super::event::{Event, Origin};
 use super::state::Turn;
 use super::{Effect, Engine, RunResult, TraceItem};
@@ -79,7 +80,7 @@ impl Engine {
         let program = turn.program;
         let mut fields = match self.bindings(&program.state(state).with, turn) {
             Ok(fields) => fields,
-            Err((message, place)) => {
+            Err(Failed { message, place }) => {
                 self.error_at(state, &message, place, turn);
                 BTreeMap::new()
             }

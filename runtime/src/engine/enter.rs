@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use armarium_values::Value;
 
+use super::act::Failed;
 use super::end::reason_and_chain;
 use super::state::{SkillRun, Timer, TimerUse, Turn};
 use super::step::duration;
@@ -11,8 +12,8 @@ use super::{Effect, Engine, TraceItem};
 use crate::program::{Action, Binding, Kind, Program, StateId};
 use crate::skill::{Parameter, ParameterError};
 
-/// Values by name, or the message and place of an error.
-pub(super) type Given = Result<BTreeMap<String, Value>, (String, String)>;
+/// Values by name.
+pub(super) type Given = Result<BTreeMap<String, Value>, Failed>;
 
 /// The states that a microstep enters, and the values that transitions give to their targets.
 #[derive(Default)]
@@ -230,11 +231,11 @@ impl Engine {
         }
         let mut values = match self.bindings(&of.with, turn) {
             Ok(values) => values,
-            Err((message, place)) => return self.with_failed(state, &message, &place, turn),
+            Err(Failed { message, place }) => return self.with_failed(state, &message, &place, turn),
         };
         match given {
             Some(Ok(over)) => self.extra(state).given = over,
-            Some(Err((message, place))) => return self.with_failed(state, &message, &place, turn),
+            Some(Err(Failed { message, place })) => return self.with_failed(state, &message, &place, turn),
             None => {}
         }
         values.extend(self.extra(state).given.clone());
@@ -294,7 +295,7 @@ impl Engine {
         let Some(delay) = &program.transitions[transition as usize].delay else { return };
         let seconds = match self.evaluate(delay, turn) {
             Ok(value) => value.as_f64().unwrap_or(f64::NAN),
-            Err((message, place)) => return self.error_at(state, &message, place, turn),
+            Err(Failed { message, place }) => return self.error_at(state, &message, place, turn),
         };
         if !seconds.is_finite() || seconds < 0.0 {
             let place = program.place(program.state(state).place);
@@ -370,7 +371,7 @@ impl Engine {
             let value = self.evaluate(&binding.term, turn)?;
             let Binding { parameter, place, .. } = binding;
             let failed = |error: ParameterError| {
-                (format!("input `{}`: {error}", parameter.name), self.program.place(*place))
+                Failed::new(format!("input `{}`: {error}", parameter.name), self.program.place(*place))
             };
             values.insert(parameter.name.clone(), parameter.accept(value).map_err(failed)?);
         }

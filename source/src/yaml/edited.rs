@@ -1,9 +1,25 @@
 //! The tree of a text after an edit. Where the edit lies inside one entry of block maps, only that entry is read again, and the rest
 //! is the tree from before at its new places. It gives what reading the whole text gives, or nothing.
 
+use std::path::PathBuf;
+use std::sync::Arc;
+
 use super::events::read;
-use super::tree::{Named, Node, Yaml};
 use crate::span::Span;
+use crate::text::{KeptTree, Source};
+use crate::tree::{Named, Node, Yaml};
+
+/// A text that is being edited, and what it was before: its tree is kept, and what the edit left as it was is not read again.
+#[must_use]
+pub fn edited(path: impl Into<PathBuf>, text: impl Into<String>, before: Option<&Source>) -> Source {
+    let text = text.into();
+    let tree = before.and_then(|before| {
+        let kept = before.tree().filter(|kept| kept.divisible)?;
+        let root = Arc::new(after_edit(&before.text, &kept.root, &text)?);
+        Some(KeptTree { root, divisible: true })
+    });
+    Source::with_tree(path, text, tree)
+}
 
 /// The tree of `text`, if it can be made from that of the text `before` the edit, each entry of which can be read by
 /// itself.

@@ -110,7 +110,7 @@ fn unquoted_expression(lines: &[Line<'_>], here: usize) -> Option<Slip> {
 
 /// One key with its value, or an item of a list, as far as it was read.
 #[derive(Clone, Copy)]
-struct Entry {
+struct OpenEntry {
     /// After the colon of its key.
     colon: Option<usize>,
     /// No letter of the key, or of the value, was read yet.
@@ -119,7 +119,7 @@ struct Entry {
     closed: Option<(usize, char)>,
 }
 
-const FRESH: Entry = Entry { colon: None, begins: true, closed: None };
+const FRESH: OpenEntry = OpenEntry { colon: None, begins: true, closed: None };
 
 /// What makes no sense within a line, in the line where the parser stopped or in the one before: `if: "a" == b`, `a: b: c`,
 /// `{a: 1}}`, `a: @home`.
@@ -165,7 +165,7 @@ fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
                 }
                 ',' if !around.is_empty() => entry = FRESH,
                 '}' | ']' => match around.pop() {
-                    Some((open, outer)) => entry = Entry { closed: Some((open, c)), ..outer },
+                    Some((open, outer)) => entry = OpenEntry { closed: Some((open, c)), ..outer },
                     None if entry.closed.is_some() && at >= from => {
                         let slip = slip(at, 1, format!("there is one `{c}` too many"), "remove it");
                         return slip.map(|slip| slip.rewritten(""));
@@ -192,7 +192,7 @@ fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
                         let insertions = [(begins, open.to_owned()), (ends, close.to_owned())];
                         return Some(if quotable { slip.completed(insertions) } else { slip });
                     }
-                    entry = Entry { colon: Some(at + 1), ..FRESH };
+                    entry = OpenEntry { colon: Some(at + 1), ..FRESH };
                 }
                 _ if entry.closed.is_some_and(|(open, _)| open >= line.start) && at >= from => {
                     let close = entry.closed.map_or(c, |(_, close)| close);

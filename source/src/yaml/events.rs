@@ -7,9 +7,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use granit_parser::{ErrorKind, Event, Marker, Parser, ScalarStyle, ScanError, StrInput, Tag};
 
 use super::scalars::{Resolved, resolve};
-use super::tree::{Named, Node, Yaml};
 use crate::remedy::Remedy;
 use crate::span::Span;
+use crate::tree::{Named, Node, Yaml};
 
 /// Deepest nesting of YAML; 60 levels of states are within it.
 const MAX_DEPTH: usize = 190;

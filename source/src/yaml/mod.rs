@@ -6,26 +6,27 @@ mod edited;
 mod errors;
 mod events;
 mod scalars;
-mod tree;
 
 use std::sync::Arc;
 
 use crate::code;
 use crate::finding::{Findings, MAX_BYTES, too_large};
-use crate::remedy::{Edit, Remedy};
+use crate::remedy::{Edit, Remedy, applied};
 use crate::span::Span;
-use crate::text::Source;
+use crate::text::{KeptTree, Source};
 use errors::slip_near;
 use events::{Refusal, read};
 
+pub use crate::tree::{Entries, Named, Node, Yaml};
+#[cfg(test)]
 pub(crate) use edited::after_edit;
-pub use tree::{Entries, Named, Node, Yaml};
+pub use edited::edited;
 
 /// Parses a file's text. What is wrong is added to `findings`.
 pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
     let source = Arc::clone(&findings.source);
     if let Some(tree) = source.tree() {
-        return Some(tree);
+        return Some(Arc::clone(&tree.root));
     }
     let everything = Span { start: 0, end: 1 };
     if source.text.len() > MAX_BYTES {
@@ -35,9 +36,9 @@ pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
     }
     let refusal = match read(&source.text, 0) {
         Ok((root, divisible)) => {
-            let root = Arc::new(root);
-            source.keep(&root, divisible);
-            return Some(root);
+            let tree = KeptTree { root: Arc::new(root), divisible };
+            source.keep(&tree);
+            return Some(tree.root);
         }
         Err(refusal) => refusal,
     };
@@ -108,5 +109,14 @@ fn unquoted_expressions(source: &Source, at: usize) -> Option<Remedy> {
         let edit = |at| Edit { span: Span { start: at, end: at }, text: quote.to_owned() };
         edits.extend([edit(from), edit(to)]);
     }
-    (!edits.is_empty()).then_some(Remedy::Replace(edits))
+    let (last, _) = edits.split_last()?;
+    if read(&applied(text, &edits), 0).is_err() {
+        // The brace that the expression took was that of the map around it.
+        let mut closed = edits.clone();
+        closed.push(Edit { span: last.span, text: "}".to_owned() });
+        if read(&applied(text, &closed), 0).is_ok() {
+            return Some(Remedy::Replace(closed));
+        }
+    }
+    Some(Remedy::Replace(edits))
 }

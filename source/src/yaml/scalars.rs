@@ -1,7 +1,7 @@
 //! What a plain scalar means: the core schema of YAML 1.2 (section 10.3.2). In addition, numbers may have `_` between their digits,
 //! and integers may be binary (`0b101`).
 
-use super::tree::Yaml;
+use crate::tree::Yaml;
 
 /// The meaning of a plain scalar.
 pub(crate) enum Resolved {

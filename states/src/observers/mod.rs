@@ -29,7 +29,11 @@ fn hand() -> ChannelDescription {
         ("confidence", Type::FLOAT, "0 to 1"),
         ("position", Type::Vector, "of the palm, m"),
         ("direction", Type::Vector, "where it points, unit length"),
-        ("distance", Type::quantity(Unit::M), "to the TCP of the arm that executes the motion, or that works"),
+        (
+            "distance",
+            Type::quantity(Unit::M),
+            "to the TCP of the arm that executes the motion, or that works",
+        ),
         ("hidden", Type::FLOAT, "the share of its outline that is hidden, 0 to 1"),
         ("came_at", Type::quantity(Unit::RAD), "phase of the running motion at which it came to rest"),
     ];

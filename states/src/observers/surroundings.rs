@@ -25,7 +25,9 @@ pub(super) async fn observe(equipment: Equipment) {
                 known = Some(places);
             }
             Ok(_) => {}
-            Err(failure) => tracing::warn!("the guard does not know the places in memory: {}", failure.reason),
+            Err(failure) => {
+                tracing::warn!("the guard does not know the places in memory: {}", failure.reason)
+            }
         }
         loop {
             match updates.recv().await {

@@ -64,7 +64,10 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = Arm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
-    let (works, hand) = (workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?, hand(model, arm.limb())?);
+    let (works, hand) = (
+        workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?,
+        hand(model, arm.limb())?,
+    );
     let facing = from_level(&hand.grasps_from(&works.rotation));
     let center = match context.value("center")? {
         center if center.as_list().is_some_and(<[Value]>::is_empty) => {

@@ -22,7 +22,12 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
             .input("motion", Type::motion(), "The motion.")
             .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
-            .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the highest place of the table under its path.")
+            .optional(
+                "height",
+                Type::quantity(Unit::M),
+                0.05,
+                "Height of the tool over the highest place of the table under its path.",
+            )
             .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
             .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
             .publishes("motion")

@@ -43,9 +43,9 @@ fn point(equipment: &Equipment, context: &SkillContext) -> Result<Point3<f64>, F
     let arm = chosen(equipment, context);
     let model = equipment.robot.model();
     let point = match context.value("point")? {
-        point if point.as_list().is_some_and(<[Value]>::is_empty) => {
-            Point3::from(workspace(model, arm.clone()?, &equipment.robot.sensed().borrow().position)?.translation.vector)
-        }
+        point if point.as_list().is_some_and(<[Value]>::is_empty) => Point3::from(
+            workspace(model, arm.clone()?, &equipment.robot.sensed().borrow().position)?.translation.vector,
+        ),
         point => as_point(point).ok_or_else(|| Failure::new("`point` needs three numbers"))?,
     };
     let offset = context.value("offset")?;

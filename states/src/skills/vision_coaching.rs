@@ -14,9 +14,11 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 
 /// What the robot says when two passes are about as near to a hand that it did not see come.
-const AMBIGUOUS: &str = "I pass there twice, and do not know which pass you mean. Please come again as I pass.";
+const AMBIGUOUS: &str =
+    "I pass there twice, and do not know which pass you mean. Please come again as I pass.";
 /// What it says when a gesture has moved the path by less than this, m, for so long, s.
-const WITHOUT_EFFECT: &str = "Your gesture moves nothing: you may be too near to my path, or too far from it.";
+const WITHOUT_EFFECT: &str =
+    "Your gesture moves nothing: you may be too near to my path, or too far from it.";
 const NO_EFFECT: f64 = 0.005;
 const NO_EFFECT_FOR: f64 = 6.0;
 

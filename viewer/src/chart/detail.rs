@@ -77,6 +77,13 @@ fn graft(outline: &mut Outline, at: usize, inner: Outline) {
     }));
 }
 
+/// How many levels of states a chart has.
+#[must_use]
+pub fn levels(outline: &Outline) -> usize {
+    let outward = |state: usize| std::iter::successors(Some(state), |s| outline.states[*s].parent);
+    (0..outline.states.len()).map(|state| outward(state).count() - 1).max().unwrap_or(0)
+}
+
 /// The chart with `depth` levels of states; a state whose content is not shown says how many states it has.
 /// Transitions of states that are not shown start or end at the state around them that is.
 pub fn fold(outline: &Outline, depth: usize) -> Outline {

@@ -23,7 +23,10 @@ mod tests;
 
 use armarium_runtime::chart::Outline;
 
-pub use detail::{Unfold, fold, unfold};
+pub use detail::{Unfold, fold, levels, unfold};
+
+/// Width and height of a screen, px.
+const SCREEN: (f64, f64) = (1920.0, 1080.0);
 
 /// A form in which a chart is drawn or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,6 +93,20 @@ pub fn render(outline: &Outline, format: Format, theme: Theme) -> Result<Vec<u8>
         Format::PlantUml => source::plantuml(outline).into_bytes(),
         Format::Json => json(outline),
     })
+}
+
+/// How many levels of states a picture shows that fits a screen, or two screens one below the other; `None` where all of them do,
+/// or where fewer do not help.
+#[must_use]
+pub fn levels_that_fit(outline: &Outline) -> Option<usize> {
+    let fits = |outline: &Outline| {
+        let size = scene::Scene::of(outline).size;
+        size.width <= SCREEN.0 && size.height <= 2.0 * SCREEN.1
+    };
+    if fits(outline) {
+        return None;
+    }
+    (1..levels(outline)).rev().find(|depth| fits(&fold(outline, *depth)))
 }
 
 fn json(outline: &Outline) -> Vec<u8> {

@@ -8,7 +8,7 @@ use armarium_runtime::chart::{Outline, OutlineKind, load_text};
 use super::font::{SIZE, width};
 use super::geometry::{Point, Rect, Size, Step};
 use super::scene::{PALETTE, Scene, Shape};
-use super::{DrawError, Format, Theme, Unfold, fold, render, unfold};
+use super::{DrawError, Format, Theme, Unfold, fold, levels, levels_that_fit, render, unfold};
 
 const CHART: &str = "statechart: Demo
 initial: A
@@ -466,6 +466,23 @@ fn boxes_of_states_carry_their_paths() {
     let mut nested = Outline::of(&library.charts["T"]);
     unfold(&mut nested, &library.charts, &Unfold::All);
     assert!(text_of(&nested, Format::Svg).contains("data-state=\"Grasp.Grasp\""));
+}
+
+#[test]
+fn of_many_levels_those_are_shown_that_fit() {
+    let level = |inner: &str, indent: usize| {
+        let pad = " ".repeat(indent);
+        let one = |n: usize| {
+            let next = if n < 3 { format!("S{}", n + 1) } else { "Done".to_owned() };
+            format!("{pad}  S{n}:\n{pad}    transitions: {{success: {next}}}\n{inner}")
+        };
+        let states: String = (0..4).map(one).collect();
+        format!("{pad}initial: S0\n{pad}states:\n{states}{pad}  Done: {{final: success}}\n")
+    };
+    let nested = level(&level(&level("", 8), 4), 0);
+    let outline = outline(&format!("statechart: T\n{nested}"));
+    assert_eq!((levels(&outline), levels_that_fit(&outline)), (3, Some(2)));
+    assert_eq!(levels_that_fit(&fold(&outline, 2)), None);
 }
 
 #[test]

@@ -14,9 +14,9 @@ mod messages;
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{self, BufWriter, IntoInnerError, Seek, SeekFrom, Write};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use armarium_visionx::{JpegPixel, RgbImage, encode_jpeg};
 use foxglove::messages as fg;
@@ -89,6 +89,45 @@ impl From<foxglove::FoxgloveError> for RecorderError {
     }
 }
 
+/// The file, which remembers why it could not be written first: what its writers say then is only that they cannot go on.
+struct RecordingFile {
+    file: File,
+    first_error: Arc<OnceLock<io::Error>>,
+}
+
+impl RecordingFile {
+    fn noted<T>(&self, result: io::Result<T>) -> io::Result<T> {
+        result.inspect_err(|error| {
+            // Only the first one counts.
+            let _ = self.first_error.set(same(error)).is_ok();
+        })
+    }
+}
+
+/// Another error that says the same.
+fn same(error: &io::Error) -> io::Error {
+    error
+        .raw_os_error()
+        .map_or_else(|| io::Error::new(error.kind(), error.to_string()), io::Error::from_raw_os_error)
+}
+
+impl Write for RecordingFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes);
+        self.noted(written)
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        let flushed = self.file.flush();
+        self.noted(flushed)
+    }
+}
+
+impl Seek for RecordingFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
 struct PoseTopic {
     channel: Channel<fg::PoseInFrame>,
     transform: fg::FrameTransform,
@@ -104,7 +143,9 @@ struct ImageTopic {
 pub struct Recorder {
     options: RecorderOptions,
     context: Arc<Context>,
-    writer: McapWriterHandle<BufWriter<File>>,
+    writer: McapWriterHandle<BufWriter<RecordingFile>>,
+    /// Why the file could not be written first.
+    first_error: Arc<OnceLock<io::Error>>,
     poses: BTreeMap<String, PoseTopic>,
     images: BTreeMap<String, ImageTopic>,
     json: BTreeMap<String, Arc<RawChannel>>,
@@ -155,6 +196,8 @@ impl Recorder {
     ) -> Result<Self, RecorderError> {
         let file = File::create(path)
             .map_err(|source| RecorderError::Create { path: path.display().to_string(), source })?;
+        let first_error = Arc::new(OnceLock::new());
+        let file = RecordingFile { file, first_error: Arc::clone(&first_error) };
         let context = Context::new();
         // Without seeking, a chunk is written as a whole: a crash never leaves a chunk of unknown length.
         let write = McapWriteOptions::new()
@@ -174,6 +217,7 @@ impl Recorder {
             options,
             context,
             writer,
+            first_error,
             poses: BTreeMap::new(),
             images: BTreeMap::new(),
             json: BTreeMap::new(),
@@ -335,10 +379,10 @@ impl Recorder {
     /// # Errors
     /// [`RecorderError::Write`] when writing failed, now or earlier.
     pub fn finish(self) -> Result<(), RecorderError> {
-        let file = self.writer.close()?;
-        file.into_inner()
-            .map(drop)
-            .map_err(|e| RecorderError::Write { source: foxglove::FoxgloveError::from(e.into_error()) })
+        let Self { writer, first_error, .. } = self;
+        let file = writer.close().map_err(|error| cause(&first_error, error))?;
+        let error = |e: IntoInnerError<_>| cause(&first_error, foxglove::FoxgloveError::from(e.into_error()));
+        file.into_inner().map(drop).map_err(error)
     }
 
     /// Whether what was recorded so far could be written, as far as that was tried.
@@ -353,9 +397,14 @@ impl Recorder {
     fn tick(&mut self, t_ns: u64) {
         if t_ns >= self.next_flush_ns {
             self.next_flush_ns = t_ns.saturating_add(self.options.flush_period_ns);
-            self.broken = self.writer.flush().err().map(RecorderError::from);
+            self.broken = self.writer.flush().err().map(|error| cause(&self.first_error, error));
         }
     }
+}
+
+/// What made the file fail, or else what its writer says.
+fn cause(first: &OnceLock<io::Error>, error: foxglove::FoxgloveError) -> RecorderError {
+    first.get().map_or(error, |first| foxglove::FoxgloveError::from(same(first))).into()
 }
 
 fn jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>, image::ImageError> {
