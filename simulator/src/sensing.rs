@@ -108,9 +108,7 @@ impl WrenchSensor {
         let sigma = sigma.max(LEAST_NOISE);
         let drift = self.drift.at(t, &mut self.rng);
         let offset: [f64; 6] = std::array::from_fn(|axis| {
-            self.bias[axis]
-                + drift[axis]
-                + sigma * share(axis) * self.rng.sample::<f64, _>(StandardNormal)
+            self.bias[axis] + drift[axis] + sigma * share(axis) * self.rng.sample::<f64, _>(StandardNormal)
         });
         Wrench {
             force: truth.force + Vector3::new(offset[0], offset[1], offset[2]),
@@ -164,9 +162,7 @@ impl Drift {
     }
 
     fn goal(&self, rng: &mut ChaCha8Rng) -> [f64; 6] {
-        std::array::from_fn(|axis| {
-            self.rate * DRIFT_TIME * share(axis) * (2.0 * rng.random::<f64>() - 1.0)
-        })
+        std::array::from_fn(|axis| self.rate * DRIFT_TIME * share(axis) * (2.0 * rng.random::<f64>() - 1.0))
     }
 
     /// The offsets at `t` s, which never goes back.
