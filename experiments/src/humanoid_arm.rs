@@ -109,7 +109,7 @@ impl Arm {
             return Ok(Execution::Ideal { position: *q, velocity: Joints::zeros(), path: Vec::new() });
         }
         let failed = |error: &dyn std::error::Error| ExperimentError::Failed(error.to_string());
-        let world = World { objects: Vec::new(), ..World::default() };
+        let world = World { objects: Vec::new(), ..World::ideal() };
         let options = Options { start: Some(self.all(q)), ..Options::default() };
         let simulation = Simulation::new(&world, seed, options).map_err(|e| failed(&e))?;
         let robot = simulation.robot();

@@ -99,7 +99,7 @@ impl Skill for Watching {
 
 #[test]
 fn places_are_those_of_a_still_head() {
-    let text = "world: w\ncamera: {latency: 30 ms}\n";
+    let text = "world: w\nphysics: ideal\ncamera: {latency: 30 ms}\n";
     let world = World::parse(Path::new("w.yaml"), text).unwrap();
     let found = Arc::new(Mutex::new([Places::new(), Places::new()]));
     let (seen, watched) = (Arc::clone(&found), world.clone());
