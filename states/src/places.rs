@@ -70,7 +70,9 @@ pub(crate) async fn known(remembered: Remembered<'_>) -> Result<Vec<Known>, Fail
         }
         let Ok(class) = class_name(&thing) else { continue };
         let Ok(class) = object_class(memory, class).await else { continue };
-        all.extend(shape(remembered, &thing, class.size).map(|shape| Known { shape, thing: Some(thing.id.clone()) }));
+        all.extend(
+            shape(remembered, &thing, class.size).map(|shape| Known { shape, thing: Some(thing.id.clone()) }),
+        );
     }
     Ok(all)
 }

@@ -139,7 +139,8 @@ impl Wiper {
         let (arm, id, motion) = Self::own(equipment, context, tool).await?;
         let stood_on = tool.stood_on(equipment, arm.limb())?;
         let [x, y] = middle_of(motion.motion());
-        let here = Surface::known_under(equipment.remembered(), &stood_on.at(x, y)).await?.unwrap_or(stood_on);
+        let here =
+            Surface::known_under(equipment.remembered(), &stood_on.at(x, y)).await?.unwrap_or(stood_on);
         let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
         let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
         Self::new(arm, (id, motion), stage, context)

@@ -41,7 +41,8 @@ pub(super) async fn observe(equipment: Equipment) {
 
 /// Tells the frames where the robot's root is, if that is what a snapshot says.
 fn stand(equipment: &Equipment, agent: &Snapshot) {
-    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == equipment.agent) else {
+    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == equipment.agent)
+    else {
         return;
     };
     if pose.frame != Frame::root()

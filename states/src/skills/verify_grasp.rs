@@ -76,7 +76,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mass = weight / GRAVITY;
     let size = Vector3::from(class.size);
     let stood_as = equipment.memory.latest(&object).await.map_err(failed)?;
-    let stood_as = equipment.remembered().root_pose(&stood_as).map_or(surface.rotation(), |pose| pose.rotation);
+    let stood_as =
+        equipment.remembered().root_pose(&stood_as).map_or(surface.rotation(), |pose| pose.rotation);
     // Its turn in the hand is as it stood; its middle is where the hand holds.
     let tcp_from_box = Isometry3::from_parts(held.coords.into(), tcp_at_grasp.rotation.inverse() * stood_as);
     let shape = Some(LoadShape { tcp_from_box, size });
