@@ -473,10 +473,10 @@ fn of_many_levels_those_are_shown_that_fit() {
     let level = |inner: &str, indent: usize| {
         let pad = " ".repeat(indent);
         let one = |n: usize| {
-            let next = if n < 3 { format!("S{}", n + 1) } else { "Done".to_owned() };
+            let next = if n < 5 { format!("S{}", n + 1) } else { "Done".to_owned() };
             format!("{pad}  S{n}:\n{pad}    transitions: {{success: {next}}}\n{inner}")
         };
-        let states: String = (0..4).map(one).collect();
+        let states: String = (0..6).map(one).collect();
         format!("{pad}initial: S0\n{pad}states:\n{states}{pad}  Done: {{final: success}}\n")
     };
     let nested = level(&level(&level("", 8), 4), 0);
