@@ -78,6 +78,17 @@ impl Handle {
     }
 }
 
+/// A robot of the world, as skills see it.
+#[derive(Clone)]
+pub struct RobotInWorld {
+    /// Its name.
+    pub name: String,
+    /// The robot, behind its own guard.
+    pub robot: Arc<dyn Robot>,
+    /// The cameras on its head.
+    pub images: Arc<dyn ImageSource>,
+}
+
 /// A robot of the world, with what belongs to it.
 struct Agent {
     name: String,
@@ -212,10 +223,10 @@ impl Simulation {
 
     /// All robots by their names, each behind its own guard and with its own cameras, in the world's order. Poses in the frames
     /// are in each robot's own root frame.
-    pub fn robots(&self) -> Vec<(String, Arc<dyn Robot>, Arc<dyn ImageSource>)> {
+    pub fn robots(&self) -> Vec<RobotInWorld> {
         let one = |agent: &Agent| {
-            let source: Arc<SimulatedCameras> = Arc::clone(agent.eyes.source());
-            (agent.name.clone(), Arc::clone(&agent.robot), source as Arc<dyn ImageSource>)
+            let images: Arc<SimulatedCameras> = Arc::clone(agent.eyes.source());
+            RobotInWorld { name: agent.name.clone(), robot: Arc::clone(&agent.robot), images }
         };
         self.robots.iter().map(one).collect()
     }
@@ -233,7 +244,7 @@ impl Simulation {
             let source: Arc<SimulatedCameras> = Arc::clone(agent.source());
             (agent.name().to_owned(), source as Arc<dyn ImageSource>)
         };
-        let robots = self.robots().into_iter().skip(1).map(|(name, _, images)| (name, images));
+        let robots = self.robots().into_iter().skip(1).map(|robot| (robot.name, robot.images));
         self.agents.iter().map(eyes).chain(robots).collect()
     }
 

@@ -63,13 +63,13 @@ impl Skill for Watched {
     }
 }
 
-/// The table of the default world.
+/// The table of the default world, a little lower: over it, the hand that is ready keeps the distance that bodies keep.
 fn table() -> KnownBox {
     let table = armarium_simulator::World::default().table;
     let [x, y] = table.center;
     KnownBox {
         name: "table".into(),
-        root_from_box: Isometry3::translation(x, y, table.height - 0.02),
+        root_from_box: Isometry3::translation(x, y, table.height - 0.04),
         size: Vector3::new(table.size[0], table.size[1], 0.04),
     }
 }

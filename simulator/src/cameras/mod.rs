@@ -241,7 +241,7 @@ impl Eyes {
         let calibration = StereoCalibration { camera, baseline: spec.baseline };
         let noise = SensorNoise::new(spec.noise, seed ^ (robot as u64).rotate_left(48));
         let error = &spec.mounting_error;
-        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xca3e_7a ^ (robot as u64).rotate_left(40));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x00ca_3e7a ^ (robot as u64).rotate_left(40));
         let shift = Vector3::from(error.position) + direction(&mut rng) * error.distance;
         let turn = Vector3::from(error.rotation_deg) + direction(&mut rng) * error.angle_deg;
         let turn = UnitQuaternion::from_scaled_axis(turn.map(f64::to_radians));

@@ -44,18 +44,17 @@ impl DepthSensor {
         let mut sensed = truth;
         let ([near, far], sigma, step) =
             (self.spec.range.map(|v| v as f32), self.spec.noise as f32, self.spec.step as f32);
-        for v in 0..h {
-            let start = random.random_range(0..TILE);
-            for u in 0..w {
-                let (i, z) = (v * w + u, sensed.data[v * w + u]);
-                if holes[i] || z < near || z > far {
-                    sensed.data[i] = 0.0;
+        for (row, holes) in sensed.data.chunks_exact_mut(w.max(1)).zip(holes.chunks_exact(w.max(1))) {
+            let start = random.random_range(0..TILE - w.min(TILE - 1));
+            let noise = self.tile.get(start..).unwrap_or(&[]).iter().copied().chain(std::iter::repeat(0.0));
+            for ((z, hole), noise) in row.iter_mut().zip(holes).zip(noise) {
+                if *hole || *z < near || *z > far {
+                    *z = 0.0;
                     continue;
                 }
-                let noise = if sigma > 0.0 { self.tile[(start + u) % TILE] * sigma } else { 0.0 };
-                let measured = z + noise * z * z;
-                let step = step * z * z;
-                sensed.data[i] = if step > 0.0 { (measured / step).round() * step } else { measured };
+                let (measured, step) = (*z + noise * sigma * *z * *z, step * *z * *z);
+                // Depths are positive and less than 2^31 steps: the conversion rounds down.
+                *z = if step > 0.0 { (measured / step + 0.5) as i32 as f32 * step } else { measured };
             }
         }
         sensed
@@ -64,27 +63,24 @@ impl DepthSensor {
     /// The pixels near an edge, or whose surface is seen under too large an angle.
     fn holes(&self, truth: &DepthImage, focal: f32) -> Vec<bool> {
         let (w, h) = (truth.width as usize, truth.height as usize);
-        let at = |u: usize, v: usize| truth.data[v * w + u];
         let mut holes = vec![false; w * h];
-        let slope = if self.spec.grazing_deg < 90.0 {
-            self.spec.grazing_deg.to_radians().tan() as f32
-        } else {
-            f32::INFINITY
+        // One pixel is z / focal wide. Squares are compared, as a root for each pixel takes longer than all the rest.
+        let slope = match self.spec.grazing_deg < 90.0 {
+            true => (self.spec.grazing_deg.to_radians().tan() as f32 / focal).powi(2),
+            false => f32::INFINITY,
         };
-        let reach = self.spec.edge as usize;
+        let (reach, edge) = (self.spec.edge as usize, if self.spec.edge > 0 { EDGE } else { f32::INFINITY });
         for v in 0..h.saturating_sub(1) {
+            let (row, below) = (&truth.data[v * w..(v + 1) * w], &truth.data[(v + 1) * w..(v + 2) * w]);
             for u in 0..w.saturating_sub(1) {
-                let z = at(u, v);
-                let (right, below) = (at(u + 1, v) - z, at(u, v + 1) - z);
-                let edge = reach > 0 && right.abs().max(below.abs()) > EDGE * z;
-                // One pixel is z / focal wide.
-                let steep = right.hypot(below) * focal > slope * z;
-                if edge {
+                let z = row[u];
+                let (right, below) = (row[u + 1] - z, below[u] - z);
+                if right.abs().max(below.abs()) > edge * z {
                     for y in v.saturating_sub(reach - 1)..=(v + reach).min(h - 1) {
                         let row = y * w;
                         holes[row + u.saturating_sub(reach - 1)..=row + (u + reach).min(w - 1)].fill(true);
                     }
-                } else if steep {
+                } else if right * right + below * below > slope * (z * z) {
                     holes[v * w + u] = true;
                 }
             }
