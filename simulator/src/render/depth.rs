@@ -37,7 +37,7 @@ impl DepthSensor {
         if self.spec == DepthSpec::IDEAL {
             return truth;
         }
-        let (w, h) = (truth.width as usize, truth.height as usize);
+        let w = truth.width as usize;
         let holes = self.holes(&truth, focal as f32);
         let mut random = ChaCha8Rng::seed_from_u64(self.seed.rotate_left(7));
         random.set_stream(frame.wrapping_add(1));

@@ -513,7 +513,7 @@ impl World {
                     .map_or(root.span, |node| node.span);
                 let message = format!("there is no probe `{probe}`");
                 let help = Some(format!("known: {}", PROBES.join(", ")));
-                findings.unknown(code::REFERENCE, (at, probe), message, PROBES.into_iter(), help);
+                findings.unknown(code::REFERENCE, (at, probe), message, PROBES, help);
             }
         }
         let [x, y] = self.table.center;
