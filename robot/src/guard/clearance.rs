@@ -91,7 +91,14 @@ impl Clearance {
 
     /// Finds the pairs that leases allow: a hand and what it holds against what its lease names.
     fn allow(&mut self, table: &LeaseTable) {
-        self.allowed.fill(false);
+        // Before known boxes, hands stop and what they hold: for the rest of an arm a path is planned.
+        let tcps = self.model.arms().filter_map(|arm| arm.tcp);
+        let all: Vec<usize> = tcps.flat_map(|tcp| self.bodies.beyond(&self.model, tcp)).collect();
+        for (pair, allowed) in self.allowed.iter_mut().enumerate() {
+            let [a, b] = self.bodies.pair(pair);
+            let apart = |known: usize, other: usize| !self.bodies.is_own(known) && !all.contains(&other);
+            *allowed = apart(a, b) || apart(b, a);
+        }
         for slot in &table.slots {
             let Some(held) = slot.held.as_ref().filter(|held| !held.touches.is_empty()) else { continue };
             let moves = |tcp: LinkId| slot.limb.joints.iter().any(|&joint| self.model.moves(joint, tcp));
