@@ -22,6 +22,7 @@ mod schema;
 mod segments;
 pub mod session;
 pub mod stream;
+mod turns;
 
 pub use access::Access;
 pub use codec::{Bounds, CodecError, decode, decode_within, encode};

@@ -3,12 +3,14 @@
 
 use std::pin::Pin;
 
+use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::sample::{SampleKind, SourceInfo};
 
 use crate::error::{SessionError, failed};
 use crate::keys::Key;
 use crate::queue::Receiver;
+use crate::turns::{Turn, Turns};
 
 /// A future of the session. Its type is hidden, so that those who wait for it are not compiled with Zenoh inside.
 pub type Boxed<'a, T> = Pin<Box<dyn Future<Output = Result<T, SessionError>> + Send + 'a>>;
@@ -66,7 +68,8 @@ pub struct IncomingQuery {
     pub payload: Vec<u8>,
     /// The session that sent it, if it says so.
     pub sender: Option<String>,
-    query: zenoh::query::Query,
+    turn: Turn,
+    query: Option<zenoh::query::Query>,
 }
 
 /// A service has started or stopped.
@@ -84,8 +87,8 @@ impl IncomingQuery {
     /// # Errors
     /// [`SessionError::Zenoh`].
     pub fn reply<'a>(&'a self, key: &'a Key, encoding: &str, payload: Vec<u8>) -> Boxed<'a, ()> {
-        let reply = self.query.reply(key.as_str(), payload).encoding(Encoding::from(encoding));
-        Box::pin(async move { reply.await.map_err(failed) })
+        let encoding = Encoding::from(encoding);
+        self.send(move |query| query.reply(key.as_str(), payload).encoding(encoding).wait())
     }
 
     /// Refuses the query; the payload gives the reason.
@@ -93,8 +96,26 @@ impl IncomingQuery {
     /// # Errors
     /// [`SessionError::Zenoh`].
     pub fn refuse(&self, encoding: &str, payload: Vec<u8>) -> Boxed<'_, ()> {
-        let refusal = self.query.reply_err(payload).encoding(Encoding::from(encoding));
-        Box::pin(async move { refusal.await.map_err(failed) })
+        let encoding = Encoding::from(encoding);
+        self.send(move |query| query.reply_err(payload).encoding(encoding).wait())
+    }
+
+    fn send<'a>(
+        &'a self,
+        send: impl FnOnce(&zenoh::query::Query) -> zenoh::Result<()> + Send + 'a,
+    ) -> Boxed<'a, ()> {
+        Box::pin(async move {
+            let Some(query) = &self.query else { return Ok(()) };
+            self.turn.take(|| send(query)).await.map_err(failed)
+        })
+    }
+}
+
+impl Drop for IncomingQuery {
+    /// Zenoh tells the asker that no more answers come.
+    fn drop(&mut self) {
+        let query = self.query.take();
+        self.turn.take_later(|| drop(query));
     }
 }
 
@@ -125,14 +146,16 @@ pub(crate) fn of_reply(reply: &zenoh::query::Reply) -> Reply {
     }
 }
 
-pub(crate) fn of_query(query: zenoh::query::Query) -> IncomingQuery {
+pub(crate) fn of_query(query: zenoh::query::Query, turns: &Turns) -> IncomingQuery {
+    let sender = source(query.source_info());
     IncomingQuery {
         key: query.key_expr().to_string(),
         parameters: query.parameters().to_string(),
-        sender: source(query.source_info()),
+        turn: turns.of(sender.as_deref()),
+        sender,
         encoding: query.encoding().map(ToString::to_string).unwrap_or_default(),
         payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
-        query,
+        query: Some(query),
     }
 }
 

@@ -13,8 +13,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tokio::runtime::{Handle, RuntimeFlavor};
+use zenoh::Wait;
 use zenoh::bytes::Encoding;
-use zenoh::qos::CongestionControl;
+use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, SampleKind, SourceInfo};
 
@@ -27,6 +28,11 @@ pub use crate::message::{
 use crate::message::{nanoseconds, of_query, of_reply, of_sample};
 use crate::queue::queue;
 use crate::segments;
+use crate::turns::Turns;
+
+/// The priority of queries and answers. Zenoh has a queue for each: what is published, which is dropped rather than
+/// waited for, never waits behind an answer that a link does not take.
+const ANSWERS: Priority = Priority::DataHigh;
 
 /// Default timeout of a query.
 pub const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
@@ -37,6 +43,7 @@ pub struct Session {
     // Behind a trait, as the futures below are: otherwise each function that holds a session while it waits makes the compiler
     // prove anew that all of Zenoh is `Send`, which took a third of the memory room's build.
     zenoh: Arc<dyn AsRef<zenoh::Session> + Send + Sync>,
+    turns: Turns,
 }
 
 /// Zenoh's session as [`Session`] holds it.
@@ -90,7 +97,7 @@ impl Session {
             opening = opening.with_shm_clients(segments::clients());
         }
         let zenoh = opening.await.map_err(failed)?;
-        Ok(Self { zenoh: Arc::new(Opened(zenoh)) })
+        Ok(Self { zenoh: Arc::new(Opened(zenoh)), turns: Turns::default() })
     }
 
     /// The endpoints on which it listens, with their actual ports.
@@ -156,7 +163,8 @@ impl Session {
     ) -> Boxed<'a, ()> {
         let put = self.zenoh().put(key.as_str(), payload).encoding(Encoding::from(encoding));
         let put = put.timestamp(self.zenoh().new_timestamp()).congestion_control(congestion);
-        Box::pin(async move { put.await.map_err(failed) })
+        // A link that takes nothing may hold this up too; the thread's other tasks go on elsewhere.
+        Box::pin(async move { tokio::task::block_in_place(|| put.wait()).map_err(failed) })
     }
 
     /// Subscribes to keys with a queue for `capacity` messages. The session also receives its own puts.
@@ -246,6 +254,7 @@ impl Session {
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
             .source_info(SourceInfo::new(self.zenoh().id(), 0))
+            .priority(ANSWERS)
             .timeout(timeout);
         if let Some((encoding, payload)) = payload {
             get = get.payload(payload).encoding(Encoding::from(encoding));
@@ -300,8 +309,9 @@ impl Session {
     fn declare_queryable_on(&self, keys: &KeyPattern, capacity: usize) -> Boxed<'_, Queryable> {
         let (sender, queries) = queue(capacity);
         let declared = self.zenoh().declare_queryable(keys.as_str().to_owned());
+        let turns = self.turns.clone();
         let declared = declared.callback(move |query| {
-            let query = of_query(query);
+            let query = of_query(query, &turns);
             sender.send(query.parameters.len() + query.payload.len(), query);
         });
         Box::pin(async move { Ok(queries.declared(declared.await.map_err(failed)?)) })

@@ -4,9 +4,8 @@
 use std::sync::Arc;
 
 use armarium_bus::{IncomingQuery, Queryable, SessionError};
-use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
-use tokio::task::JoinSet;
+use tokio::task::{JoinSet, block_in_place};
 
 use super::{BUDGET_KB, ServedMemory, forbid, log_failure};
 use crate::error::MemoryError;
@@ -14,7 +13,7 @@ use crate::maintain;
 use crate::query::{Cursor, Query};
 use crate::wire::{self, MAX_BYTES, MAX_SNAPSHOTS, Maintain, Snapshots};
 
-/// Least budget of a query, kB. It bounds the waiting queries to less than the number of blocking threads.
+/// Least budget of a query, kB. It bounds the number of queries that wait.
 const MIN_QUERY_KB: u32 = 256;
 
 impl ServedMemory {
@@ -38,16 +37,12 @@ impl ServedMemory {
 
     /// Answers a query or maintenance when a slot is free. The slot is freed before the answer is sent, because the
     /// caller decides how long that takes.
-    pub(super) async fn answer_aside(self, question: IncomingQuery, room: OwnedSemaphorePermit) {
+    pub(super) async fn answer_aside(self, question: IncomingQuery) {
+        let Some(_room) = self.reserve_budget(&question).await else { return };
         let turn = self.turn().await;
-        let answering = tokio::task::spawn_blocking(move || {
-            let answer = self.answer(&question);
-            drop(turn);
-            self.send_all(vec![(question, answer)]);
-            drop(room);
-        });
-        // The task neither panics nor is cancelled.
-        let _ = answering.await.is_ok();
+        let answer = block_in_place(|| self.answer(&question));
+        drop(turn);
+        self.send(&question, answer).await;
     }
 
     /// Answers a query or maintenance, depending on its encoding.
@@ -83,13 +78,12 @@ impl ServedMemory {
     pub(super) async fn answer_gets(self, mut questions: Queryable) {
         let mut answers = JoinSet::new();
         while let Some(question) = questions.next().await {
-            if let Some(room) = self.reserve_budget(&question).await {
-                let shared = self.clone();
-                answers.spawn_blocking(move || {
-                    log_failure(Handle::current().block_on(shared.answer_get(&question)));
-                    drop(room);
-                });
-            }
+            let shared = self.clone();
+            answers.spawn(async move {
+                if let Some(_room) = shared.reserve_budget(&question).await {
+                    log_failure(shared.answer_get(&question).await);
+                }
+            });
             while answers.try_join_next().is_some() {}
         }
     }
@@ -102,7 +96,7 @@ impl ServedMemory {
         };
         loop {
             let turn = self.turn().await;
-            let found = match self.memory.query_now(&query) {
+            let found = match block_in_place(|| self.memory.query_now(&query)) {
                 Ok(found) => found,
                 Err(error) => return self.refuse(question, &error).await,
             };

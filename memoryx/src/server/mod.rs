@@ -144,16 +144,17 @@ impl ServedMemory {
                 if question.encoding.starts_with("application/cbor;memoryx/commit;") {
                     bytes += question.payload.len();
                     commits.push(question);
-                } else if let Some(room) = self.reserve_budget(&question).await {
-                    others.spawn(self.clone().answer_aside(question, room));
+                } else {
+                    others.spawn(self.clone().answer_aside(question));
                 }
                 let is_group = commits.len() == MAX_GROUP || bytes > MAX_GROUP_BYTES;
                 next = if is_group { None } else { questions.try_next() };
             }
-            let answers = self.answer_commits(commits);
-            if !answers.is_empty() {
+            // Each in a task of its own: an asker that takes nothing holds nobody else up.
+            for (mut question, answer) in self.answer_commits(commits) {
                 let shared = self.clone();
-                others.spawn_blocking(move || shared.send_all(answers));
+                question.payload = Vec::new();
+                others.spawn(async move { shared.send(&question, answer).await });
             }
             while others.try_join_next().is_some() {}
         }
@@ -183,15 +184,6 @@ impl ServedMemory {
             answers.extend(understood.into_iter().zip(sealed));
         }
         answers
-    }
-
-    /// Sends answers on a thread that may block: a link that takes nothing blocks its sender until Zenoh gives the
-    /// link up. Nothing else waits for that.
-    fn send_all(&self, answers: Vec<(IncomingQuery, Response)>) {
-        let runtime = tokio::runtime::Handle::current();
-        for (question, answer) in answers {
-            runtime.block_on(self.send(&question, answer));
-        }
     }
 
     async fn send(&self, question: &IncomingQuery, answer: Response) {
