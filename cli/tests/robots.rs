@@ -95,6 +95,64 @@ states:
     assert!(figure(&report, "grasp", "position_error_m") < 0.01, "{report}");
 }
 
+/// A helper stands where the arm reaches, and drives away when it is asked. Each robot runs its own chart.
+#[test]
+fn two_robots_of_a_world_run_two_charts_that_speak_to_each_other() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.path().join(name), text).expect("it is written");
+        folder.path().join(name).to_string_lossy().into_owned()
+    };
+    let ask = "\
+statechart: AskAndGrasp
+probes: [grasp]
+events: {there_is_room: {}}
+initial: Ask
+states:
+  Ask:
+    enter: [{send: {event: make_room, to: helper}}]
+    transitions: {there_is_room: Grasp}
+    after: {60s: Failed}
+  Grasp:
+    statechart: GraspObject
+    with: {object: sponge}
+    transitions: {success: Done, failure: Failed}
+  Done: {final: success}
+  Failed: {final: failure}
+";
+    let make_room = "\
+statechart: MakeRoom
+inputs: {back: float}
+events: {make_room: {}}
+initial: Wait
+states:
+  Wait: {transitions: {make_room: Drive}}
+  Drive:
+    skill: MovePlatform
+    with: {to: [\"${inputs.back}\", 0.0, 0.0]}
+    transitions: {success: Tell, failure: Failed}
+  Tell:
+    enter: [{send: {event: there_is_room, to: local}}]
+    always: Done
+  Done: {final: success}
+  Failed: {final: failure}
+";
+    let chart = write("ask.yaml", ask);
+    write("make_room.yaml", make_room);
+    let world = |back: &str| {
+        format!(
+            "world: two\nrobots:\n  - {{name: helper, model: rover2, at: [0.3, 1.6], yaw_deg: 180, \
+             runs: make_room.yaml, inputs: {{back: {back}}}}}\n"
+        )
+    };
+    write("two.yaml", &world("-0.6"));
+    let charts = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../statecharts");
+    let charts = charts.to_string_lossy().into_owned();
+    let report = run(folder.path(), &chart, &["--charts", &charts, "--world", "two.yaml"]);
+    assert!(figure(&report, "grasp", "position_error_m") < 0.01, "{report}");
+    assert_eq!(report["robots"]["helper"]["outcome"], "success", "{report}");
+}
+
 /// Keeps a flat ellipse over the table of the default world in a store, as a run would that has learned it.
 fn keep_ellipse(store: &Path) {
     let world = World::default();

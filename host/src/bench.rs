@@ -101,7 +101,7 @@ impl Bench {
     }
 
     async fn perform(self) -> Result<Benched, HostError> {
-        let memory = memory_without_store(&self.world)?;
+        let memory = memory_without_store(&self.world, &self.world.robot.name)?;
         let (mut robot, simulation) =
             SimulatedRobot::new(&self.world, self.seed, memory.memory(), Vec::new(), None)?;
         if let Some(own) = self.robot {

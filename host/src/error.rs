@@ -58,6 +58,18 @@ pub enum HostError {
         /// The reason.
         why: String,
     },
+    /// An input of the chart that a world's robot runs cannot be read.
+    #[error("robot `{robot}`: inputs: {name}: `{text}`: {why}")]
+    RobotInput {
+        /// The robot.
+        robot: String,
+        /// The input.
+        name: String,
+        /// The given text.
+        text: String,
+        /// The reason.
+        why: String,
+    },
     /// The inputs do not fit the chart.
     #[error(transparent)]
     Inputs(#[from] InputError),

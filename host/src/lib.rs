@@ -24,6 +24,7 @@ mod memory_log;
 mod names;
 mod network;
 mod other_agents;
+mod other_robots;
 mod recording;
 mod remote_eyes;
 pub mod replay;

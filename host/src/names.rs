@@ -7,6 +7,7 @@ use armarium_robot::Model;
 use armarium_runtime::chart::KnownNames;
 use armarium_runtime::skill::NameKind;
 use armarium_simulator::World;
+use armarium_simulator::world::PROBES;
 use armarium_source::{Disk, Files as _, outermost};
 
 use crate::simulated::prior_knowledge;
@@ -58,6 +59,7 @@ impl KnownNames for Names {
         match (kind, &self.classes) {
             (NameKind::Posture, _) => Some(self.postures.clone()),
             (NameKind::Arm, _) => Some(self.arms.clone()),
+            (NameKind::Probe, _) => Some(PROBES.map(str::to_owned).into()),
             (NameKind::ObjectClass, Classes::Run(known)) => Some(known.clone()),
             (NameKind::ObjectClass, Classes::Check(known)) => {
                 let mut known = known.clone();

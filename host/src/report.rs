@@ -13,6 +13,7 @@ use armarium_viewer::report::{self, ChainLink, ReportData};
 use serde_json::{Value as Json, json};
 
 use crate::memory_log::{self, LoggedChange};
+use crate::other_robots::OtherRobotEnded;
 use crate::run_log::RunLog;
 
 /// The data of a report.
@@ -31,6 +32,8 @@ pub(crate) struct Case<'r> {
     pub(crate) joints: Vec<TimePlot>,
     /// The log of the agents' memories; empty if there is only one agent.
     pub(crate) memory_log: &'r [LoggedChange],
+    /// The world's other robots that ran charts.
+    pub(crate) robots: &'r [OtherRobotEnded],
 }
 
 /// The figures of the run, by the names that all reports use.
@@ -55,6 +58,9 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
     });
     if let (Json::Object(report), Json::Object(measured)) = (&mut report, measured) {
         report.extend(measured);
+        if !case.robots.is_empty() {
+            report.insert("robots".into(), case.robots.iter().map(OtherRobotEnded::json).collect());
+        }
     }
     report
 }
@@ -111,6 +117,7 @@ fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> 
     let joints = "Trajectories over time in seconds; dashed lines are limits.";
     let mut sections = judged;
     sections.push(Section::new("States", states, vec![Block::Gantt(case.log.states.clone())]));
+    sections.extend(case.robots.iter().map(OtherRobotEnded::section));
     sections.extend(memories);
     sections.extend(rest);
     sections.push(Section::new("Joints", joints, vec![Block::SmallPlots(case.joints)]));

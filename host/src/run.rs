@@ -10,13 +10,13 @@ use armarium_bus::SessionConfig;
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::exec::{ExecOptions, Executor, RunResult, TraceSink};
+use armarium_runtime::exec::{ExecOptions, Executor, Peers, RunResult, TraceSink};
 use armarium_runtime::program::Program;
 use armarium_runtime::skill::Limits;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
 use armarium_source::suggest;
-use armarium_states::observers;
+use armarium_states::{Equipment, observers};
 use armarium_values::Value;
 use armarium_values::report::Figure;
 use armarium_viewer::progress::Status;
@@ -33,6 +33,7 @@ use crate::frame_sampler::FrameSampler;
 use crate::names::Names;
 use crate::network::Network;
 use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
+use crate::other_robots::{InProcess, OtherRobotEnded, OtherRobots};
 use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, record_robot};
 use crate::replay::{RunSource, TurnRecorder};
 use crate::report::{self, Case, JointLog};
@@ -115,15 +116,15 @@ impl RunConfig {
         }
     }
 
-    /// The arm that the chart's input `arm` names; empty if none.
-    fn arm(&self) -> String {
+    /// What the chart says of the world that it runs in: the arm that its input `arm` names, empty if none, and its probes.
+    fn wants(&self) -> (String, Vec<String>) {
         const ARM: &str = "arm";
-        if let Some((_, arm)) = self.inputs.iter().find(|(name, _)| name == ARM) {
-            return arm.clone();
-        }
         let library = chart::load(&self.chart, &self.charts);
         let root = library.charts.get(&library.root);
-        root.and_then(|chart| chart.usual_text(ARM, self.profile.as_deref())).unwrap_or_default()
+        let given = self.inputs.iter().find(|(name, _)| name == ARM).map(|(_, arm)| arm.clone());
+        let usual = || root.and_then(|chart| chart.usual_text(ARM, self.profile.as_deref()));
+        let probes = root.map_or_else(Vec::new, |chart| chart.probes().map(str::to_owned).collect());
+        (given.or_else(usual).unwrap_or_default(), probes)
     }
 
     /// How other agents are reached, if at all.
@@ -207,7 +208,10 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
         world.world.robot.arm = None;
         world.world.robot.load().map_err(HostError::Findings)?;
     }
-    let arm = config.arm();
+    let (arm, probes) = config.wants();
+    if world.world.probes.is_empty() {
+        world.world.probes = probes;
+    }
     let mut world = world.for_arm(&arm, config.world.is_some())?;
     if let Some(works) = world.other_than(&arm)? {
         console.note(&format!(
@@ -232,7 +236,8 @@ async fn perform(
     began: Instant,
 ) -> Result<RunEnded, HostError> {
     let (stage, simulation) = Stage::set(config, &world.world, network).await?;
-    let (program, registry) = load(config, &stage, &world.world, network, &**console).await?;
+    let equipment = &stage.robot.equipment;
+    let (program, registry) = load(config, equipment, &world.world, network, &**console).await?;
     network.explain_events(&program, &**console);
     let folder = ReportFolder::take(&config.report, config.keep_reports)?;
     let config = &RunConfig { report: folder.path.clone(), ..config.clone() };
@@ -246,7 +251,11 @@ async fn perform(
     let chart = program.name().to_owned();
     let logger = stage.logger(&registry, console);
     let channels = Channels::new();
-    let executor = stage.executor(config, program, (registry, &channels), &logger, network, console)?;
+    let among = InProcess::of(&world.world, network);
+    let file = (&world.world, world.file.as_deref());
+    let robots = OtherRobots::prepare(config, file, &simulation, (network, &among), &logger, console).await?;
+    let peers = (among.peers(&world.world.robot.name), robots.is_empty() && !network.listens());
+    let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
     stage.open_recording(config, &chart, &world.world)?;
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
@@ -261,7 +270,8 @@ async fn perform(
     tasks.extend(observers::start(&stage.robot.equipment, &channels));
     tasks.extend(others.as_ref().map(|others| tokio::spawn(others.watch(executor.controller()))));
     let world_task = tokio::spawn(simulation.run());
-    let result = executor.run().await;
+    let controller = executor.controller();
+    let (result, robots) = robots.run_beside(executor.run(), controller).await;
 
     let others = match others {
         Some(others) => others.close().await,
@@ -280,7 +290,7 @@ async fn perform(
         &chart,
         &world.world,
         (result, began, recorded),
-        (&logger.log, &joints, &others),
+        (&logger.log, &joints, &others, &robots),
         console,
     )
 }
@@ -362,36 +372,8 @@ impl Stage {
             clock: self.robot.handle.clone(),
             console: Arc::clone(console),
             marks: run_log::marks(registry),
+            robot: None,
         }
-    }
-
-    fn executor(
-        &self,
-        config: &RunConfig,
-        program: Arc<Program>,
-        (registry, channels): (Registry, &Channels),
-        logger: &RunLogger,
-        network: &Network,
-        console: &Arc<dyn Console>,
-    ) -> Result<Executor, HostError> {
-        let robot = Arc::clone(&self.robot.equipment.robot);
-        let inputs = read_inputs(&config.inputs, &program)?;
-        known_names(&inputs, &program, &registry, &config.chart)?;
-        let options = ExecOptions {
-            inputs: inputs.clone(),
-            profile: config.profile.clone(),
-            limits: Limits::default(),
-            sink: Some(recorded(config, inputs, Box::new(logger.clone()))?),
-            on_stuck: Some(Box::new(move |state| {
-                robot.stop(&format!("the skill of `{state}` does not return"));
-            })),
-            peers: network.peers.clone(),
-            closed: !network.listens(),
-        };
-        let executor = Executor::new(program, registry, channels.clone(), options)?;
-        // Robot and skills share one thread here: if a skill blocks it, no report can be written.
-        let console = Arc::clone(console);
-        Ok(executor.hang_after(HANG_TIMEOUT, Some(Box::new(move |state| console.blocked(state)))))
     }
 
     fn open_recording(&self, config: &RunConfig, chart: &str, world: &World) -> Result<(), HostError> {
@@ -440,7 +422,12 @@ impl Stage {
         chart: &str,
         world: &World,
         (result, began, recorded): (RunResult, Instant, bool),
-        (log, joints, others): (&Mutex<RunLog>, &Mutex<JointLog>, &OtherAgentsRecord),
+        (log, joints, others, robots): (
+            &Mutex<RunLog>,
+            &Mutex<JointLog>,
+            &OtherAgentsRecord,
+            &[OtherRobotEnded],
+        ),
         console: &Arc<dyn Console>,
     ) -> Result<RunEnded, HostError> {
         let simulated_s = self.robot.handle.now_ns() as f64 * 1e-9;
@@ -468,6 +455,7 @@ impl Stage {
             pictures,
             joints: joints.lock().plots(self.robot.equipment.robot.model()),
             memory_log: &others.memory_log,
+            robots,
         };
         let (report, figures, written) = report::write(&config.report, case);
         if let Err(error) = &written {
@@ -480,18 +468,48 @@ impl Stage {
 }
 
 /// The program of a chart without errors, and the skills that it runs with.
-async fn load(
+pub(crate) async fn load(
     config: &RunConfig,
-    stage: &Stage,
+    equipment: &Equipment,
     world: &World,
     network: &Network,
     console: &dyn Console,
 ) -> Result<(Arc<Program>, Registry), HostError> {
-    let names = Arc::new(Names::of_run(world, stage.robot.equipment.robot.model()));
-    let mut registry = catalog::registry(&stage.robot.equipment, &config.skills).with_names(names);
+    let names = Arc::new(Names::of_run(world, equipment.robot.model()));
+    let mut registry = catalog::registry(equipment, &config.skills).with_names(names);
     let agents = network.agents.as_ref();
     let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;
     Ok((catalog::runnable(checked, console)?, registry))
+}
+
+/// A chart that is ready to run with a robot. It exchanges events with `peers`; when it is `closed`, nobody sends it any.
+pub(crate) fn executor(
+    config: &RunConfig,
+    program: Arc<Program>,
+    (registry, channels): (Registry, &Channels),
+    logger: &RunLogger,
+    equipment: &Equipment,
+    (peers, closed): (Peers, bool),
+    console: &Arc<dyn Console>,
+) -> Result<Executor, HostError> {
+    let robot = Arc::clone(&equipment.robot);
+    let inputs = read_inputs(&config.inputs, &program)?;
+    known_names(&inputs, &program, &registry, &config.chart)?;
+    let options = ExecOptions {
+        inputs: inputs.clone(),
+        profile: config.profile.clone(),
+        limits: Limits::default(),
+        sink: Some(recorded(config, inputs, Box::new(logger.clone()))?),
+        on_stuck: Some(Box::new(move |state| {
+            robot.stop(&format!("the skill of `{state}` does not return"));
+        })),
+        peers,
+        closed,
+    };
+    let executor = Executor::new(program, registry, channels.clone(), options)?;
+    // Robots and skills share one thread here: if a skill blocks it, no report can be written.
+    let console = Arc::clone(console);
+    Ok(executor.hang_after(HANG_TIMEOUT, Some(Box::new(move |state| console.blocked(state)))))
 }
 
 /// The sink of a run, with a record if one is requested.

@@ -66,6 +66,8 @@ pub(crate) struct RunLogger {
     pub(crate) console: Arc<dyn Console>,
     /// The marks of each skill.
     pub(crate) marks: Arc<BTreeMap<String, Vec<Mark>>>,
+    /// The robot whose chart it is; `None` for the first.
+    pub(crate) robot: Option<String>,
 }
 
 /// The marks that skills declare.
@@ -79,8 +81,13 @@ impl TraceSink for RunLogger {
         self.digest.add(event);
         let t_ns = self.clock.now_ns();
         if let Ok(json) = serde_json::to_value(event) {
-            self.recorder.write(|recorder| recorder.event(t_ns, &json));
-            self.console.traced(&json);
+            self.recorder.write(|recorder| match &self.robot {
+                Some(robot) => recorder.json(&format!("/{robot}/chart/events"), t_ns, &json),
+                None => recorder.event(t_ns, &json),
+            });
+            if self.robot.is_none() {
+                self.console.traced(&json);
+            }
         }
         let mut log = self.log.lock();
         log.status.update(event);
@@ -89,6 +96,17 @@ impl TraceSink for RunLogger {
 }
 
 impl RunLogger {
+    /// The same for the chart of another robot, in a log of its own. The referee judges only the first robot.
+    pub(crate) fn of_other(&self, robot: &str, log: &Arc<Mutex<RunLog>>) -> Self {
+        let (log, robot) = (Arc::clone(log), Some(robot.to_owned()));
+        Self { log, robot, marks: Arc::default(), ..self.clone() }
+    }
+
+    /// The name of a state, with the robot's where it is not the first.
+    fn whose(&self, state: &str) -> String {
+        self.robot.as_ref().map_or_else(|| state.to_owned(), |robot| format!("{robot}: {state}"))
+    }
+
     fn follow(&self, log: &mut RunLog, t_ns: u64, item: &TraceItem) {
         let t_s = t_ns as f64 * 1e-9;
         match item {
@@ -126,6 +144,7 @@ impl RunLogger {
             }
             TraceItem::Transition { source, event, target } => {
                 let event = event.as_deref().unwrap_or("no event");
+                let source = self.whose(source);
                 let line =
                     format!("{t_s:8.2} s  {source}: {event} -> {}", target.as_deref().unwrap_or("stays"));
                 self.console.happened(&line);
@@ -154,6 +173,7 @@ impl RunLogger {
     }
 
     fn say(&self, log: &mut RunLog, t_s: f64, who: &str, what: &str) {
+        let who = &self.whose(who);
         let line = format!("{t_s:8.2} s  {who}: {what}");
         self.console.happened(&line);
         self.recorder.write(|recorder| {

@@ -9,7 +9,8 @@ use armarium_memoryx::{
 };
 use armarium_robot::{JointHistory, Robot};
 use armarium_simulator::cameras::ScenerySink;
-use armarium_simulator::{Handle, Options, Referee, Simulation, TruthSink, World};
+use armarium_simulator::world::RobotSpec;
+use armarium_simulator::{Handle, Options, Referee, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::{Equipment, RunningMotions};
 use armarium_values::Frame;
 use armarium_values::transforms::Transforms;
@@ -52,22 +53,7 @@ impl SimulatedRobot {
     ) -> Result<(Self, Simulation), HostError> {
         let options = Options { truth_sinks, scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
-        let robot = simulation.robot();
-        // The task ends with the robot.
-        let (history, _) = JointHistory::of(&*robot);
-        let mut transforms = Transforms::new();
-        transforms.attach(history);
-        let transforms = Arc::new(RwLock::new(transforms));
-        let equipment = Equipment {
-            images: joined(&*robot, simulation.images(), &transforms),
-            robot,
-            transforms,
-            memory: Arc::<WorkingMemory>::clone(memory),
-            agent: world.robot.name.clone(),
-            seed,
-            motions: RunningMotions::default(),
-            works: world.robot.arm(simulation.robot().model()).map(|arm| arm.name.clone()),
-        };
+        let equipment = equipment_of(&simulation.robots()[0], &world.robot, memory, seed);
         Ok((Self { referee: simulation.referee(), handle: simulation.handle(), equipment }, simulation))
     }
 
@@ -75,6 +61,31 @@ impl SimulatedRobot {
     pub(crate) fn see_through(&mut self, images: Arc<dyn ImageSource>) {
         let Equipment { robot, transforms, .. } = &self.equipment;
         self.equipment.images = joined(&**robot, images, transforms);
+    }
+}
+
+/// What the skills of a robot in a world work with.
+pub(crate) fn equipment_of(
+    robot: &RobotInWorld,
+    spec: &RobotSpec,
+    memory: &Arc<WorkingMemory>,
+    seed: u64,
+) -> Equipment {
+    let RobotInWorld { name, robot, images } = robot;
+    // The task ends with the robot.
+    let (history, _) = JointHistory::of(&**robot);
+    let mut transforms = Transforms::new();
+    transforms.attach(history);
+    let transforms = Arc::new(RwLock::new(transforms));
+    Equipment {
+        images: joined(&**robot, Arc::clone(images), &transforms),
+        robot: Arc::clone(robot),
+        transforms,
+        memory: Arc::<WorkingMemory>::clone(memory),
+        agent: name.clone(),
+        seed,
+        motions: RunningMotions::default(),
+        works: spec.arm(robot.model()).map(|arm| arm.name.clone()),
     }
 }
 
@@ -102,12 +113,12 @@ pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostErr
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
 }
 
-/// The memory of a test: prior knowledge of the world's objects, and nothing kept.
+/// The memory of a robot of which nothing is kept: prior knowledge of the world's objects.
 ///
 /// # Errors
 /// [`HostError::Memory`] when prior knowledge is invalid.
-pub(crate) fn memory_without_store(world: &World) -> Result<AgentMemory, HostError> {
-    let mut config = MemoryConfig::new(&world.robot.name);
+pub(crate) fn memory_without_store(world: &World, robot: &str) -> Result<AgentMemory, HostError> {
+    let mut config = MemoryConfig::new(robot);
     config.prior = prior_knowledge(world)?;
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
 }

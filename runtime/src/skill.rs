@@ -102,6 +102,8 @@ pub enum NameKind {
     Arm,
     /// A class of objects in prior knowledge.
     ObjectClass,
+    /// What judges a simulated run.
+    Probe,
 }
 
 impl fmt::Display for NameKind {
@@ -110,6 +112,7 @@ impl fmt::Display for NameKind {
             Self::Posture => "posture",
             Self::Arm => "arm",
             Self::ObjectClass => "object class",
+            Self::Probe => "probe",
         })
     }
 }

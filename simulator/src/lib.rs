@@ -28,6 +28,6 @@ pub mod world;
 
 pub use error::{PlantError, SimulationError};
 pub use referee::{Mark, Referee};
-pub use simulation::{Handle, Options, Simulation};
+pub use simulation::{Handle, Options, RobotInWorld, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
 pub use world::World;

@@ -90,7 +90,7 @@ pub struct RobotInWorld {
 }
 
 /// A robot of the world, with what belongs to it.
-struct Agent {
+struct GuardedRobot {
     name: String,
     robot: Arc<dyn Robot>,
     guard: Guard,
@@ -109,7 +109,7 @@ struct Agent {
 /// A simulated world.
 pub struct Simulation {
     /// The robots; the first is the one that the referee judges.
-    robots: Vec<Agent>,
+    robots: Vec<GuardedRobot>,
     plant: Plant,
     /// True poses of the first robot's links: the wrist and elbow of the arm that works, which the coach sees.
     kinematics: Kinematics,
@@ -164,7 +164,7 @@ impl Simulation {
             let (guard, robot) = Guard::new(Arc::clone(model), limits);
             let arm = spec.arm(model).ok_or(SimulationError::Arm)?;
             let first = 16 + 256 * i as u64;
-            robots.push(Agent {
+            robots.push(GuardedRobot {
                 name: start.name.clone(),
                 robot,
                 guard,
@@ -224,7 +224,7 @@ impl Simulation {
     /// All robots by their names, each behind its own guard and with its own cameras, in the world's order. Poses in the frames
     /// are in each robot's own root frame.
     pub fn robots(&self) -> Vec<RobotInWorld> {
-        let one = |agent: &Agent| {
+        let one = |agent: &GuardedRobot| {
             let images: Arc<SimulatedCameras> = Arc::clone(agent.eyes.source());
             RobotInWorld { name: agent.name.clone(), robot: Arc::clone(&agent.robot), images }
         };
@@ -297,7 +297,7 @@ impl Simulation {
         let t = self.t();
         self.pass_utterances_to_coach(stamp_ns, t);
         for (i, robot) in self.robots.iter_mut().enumerate() {
-            let Agent { guard, sensors, sample, zeros, measured, targets, true_targets, .. } = robot;
+            let GuardedRobot { guard, sensors, sample, zeros, measured, targets, true_targets, .. } = robot;
             let plant = &self.plant;
             add(measured, plant.motors(i), zeros, 1.0);
             sensors.sense(t, measured, plant.velocity(i), plant.wrenches(i), sample);
@@ -373,7 +373,7 @@ impl Simulation {
     /// Collects the true state and passes it to the truth sinks.
     fn publish_truth(&mut self, stamp_ns: u64) {
         let held = self.plant.held(0);
-        let Agent { targets, .. } = &self.robots[0];
+        let GuardedRobot { targets, .. } = &self.robots[0];
         let taken = held.filter(|_| held != self.object || !self.truth.held);
         self.object = held.or(self.object);
         let (before, held) = (self.truth.held, held.is_some());

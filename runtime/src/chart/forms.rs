@@ -85,6 +85,7 @@ pub(super) const CHART: &[FormKey] = &[
         || json!({"type": "object", "additionalProperties": {"anyOf": [refer("type"), object(CHANNEL)]}}),
     ),
     FormKey::new("profiles", "Other defaults of inputs, chosen by `run --profile`.", map),
+    FormKey::new("probes", "What judges a simulated run, unless its world says it: `[grasp, force]`.", texts),
     LIMIT_SECTION,
     INITIAL,
     STATES,

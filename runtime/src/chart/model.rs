@@ -33,6 +33,7 @@ pub struct Chart {
     pub(crate) events: Vec<(Named, Option<Type>)>,
     pub(crate) channels: Vec<DeclaredChannel>,
     pub(crate) profiles: BTreeMap<String, Vec<(Named, Node)>>,
+    pub(crate) probes: Vec<Named>,
     /// Where the defaults of inputs and locals stand, by the name.
     pub(crate) defaults: Vec<(String, Span)>,
     pub(crate) root: State,
@@ -42,6 +43,11 @@ impl Chart {
     /// The events from outside that it understands, with the type of what comes with them.
     pub fn events(&self) -> impl Iterator<Item = (&str, Option<&Type>)> {
         self.events.iter().map(|(name, data)| (name.text.as_str(), data.as_ref()))
+    }
+
+    /// The probes that are to judge a simulated run of it.
+    pub fn probes(&self) -> impl Iterator<Item = &str> {
+        self.probes.iter().map(|probe| probe.text.as_str())
     }
 
     /// The channels of its own skills that it declares.

@@ -92,6 +92,9 @@ pub(super) fn unknown_names(
         check.defaults(chart, &program.instances[instance as usize], &named, &assigned);
     }
     check.profiles(root, &program.instances[0], &named);
+    for probe in &root.probes {
+        check.name(&root.source, probe.span, &probe.text, Named { kind: NameKind::Probe, or_none: false });
+    }
     for input in &mut program.instances[0].inputs {
         input.declaration.names = named.get(&input.slot).map(|to| to.kind);
     }

@@ -198,6 +198,8 @@ impl Reader<'_> {
         let events = self.events(entries);
         let channels = self.channels(entries);
         let profiles = self.profiles(entries, &inputs);
+        let probes = get(entries, "probes").map_or(&[][..], Node::items);
+        let probes = probes.iter().filter_map(|node| self.text(node)).collect();
         let root = self.state(name.clone(), node.span, entries, 0, true)?;
         if matches!(root.kind, Kind::Atomic) && only_known(entries, forms::CHART) {
             self.error(code::MISSING_KEY, name.span, "a chart has `states` with `initial`, or `parallel`");
@@ -218,6 +220,7 @@ impl Reader<'_> {
             events,
             channels,
             profiles,
+            probes,
             defaults: defaults(entries),
             root,
         })

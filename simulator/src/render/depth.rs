@@ -37,51 +37,56 @@ impl DepthSensor {
         if self.spec == DepthSpec::IDEAL {
             return truth;
         }
-        let w = truth.width as usize;
-        let holes = self.holes(&truth, focal as f32);
+        let (w, holes) = (truth.width as usize, self.holes(&truth, focal as f32));
         let mut random = ChaCha8Rng::seed_from_u64(self.seed.rotate_left(7));
         random.set_stream(frame.wrapping_add(1));
         let mut sensed = truth;
-        let ([near, far], sigma, step) =
-            (self.spec.range.map(|v| v as f32), self.spec.noise as f32, self.spec.step as f32);
+        let none = vec![0.0; w];
         for (row, holes) in sensed.data.chunks_exact_mut(w.max(1)).zip(holes.chunks_exact(w.max(1))) {
             let start = random.random_range(0..TILE - w.min(TILE - 1));
-            let noise = self.tile.get(start..).unwrap_or(&[]).iter().copied().chain(std::iter::repeat(0.0));
-            for ((z, hole), noise) in row.iter_mut().zip(holes).zip(noise) {
-                if *hole || *z < near || *z > far {
-                    *z = 0.0;
-                    continue;
-                }
-                let (measured, step) = (*z + noise * sigma * *z * *z, step * *z * *z);
-                // Depths are positive and less than 2^31 steps: the conversion rounds down.
-                *z = if step > 0.0 { (measured / step + 0.5) as i32 as f32 * step } else { measured };
-            }
+            self.sense_row(row, holes, self.tile.get(start..start + w).unwrap_or(&none));
         }
         sensed
     }
 
-    /// The pixels near an edge, or whose surface is seen under too large an angle.
-    fn holes(&self, truth: &DepthImage, focal: f32) -> Vec<bool> {
+    /// One row, without branches, so that the compiler does several pixels at once.
+    fn sense_row(&self, row: &mut [f32], holes: &[u8], noise: &[f32]) {
+        let ([near, far], sigma, step) =
+            (self.spec.range.map(|v| v as f32), self.spec.noise as f32, self.spec.step as f32);
+        for ((z, hole), noise) in row.iter_mut().zip(holes).zip(noise) {
+            let seen = (*hole == 0) & (*z >= near) & (*z <= far);
+            let (measured, step) = (*z + noise * sigma * *z * *z, step * *z * *z);
+            // Depths are positive and less than 2^31 steps: the conversion rounds down.
+            let whole = (measured / step + 0.5) as i32 as f32 * step;
+            let measured = if step > 0.0 { whole } else { measured };
+            *z = if seen { measured } else { 0.0 };
+        }
+    }
+
+    /// 1 for each pixel near an edge, or whose surface is seen under too large an angle.
+    fn holes(&self, truth: &DepthImage, focal: f32) -> Vec<u8> {
         let (w, h) = (truth.width as usize, truth.height as usize);
-        let mut holes = vec![false; w * h];
+        let mut holes = vec![0; w * h];
         // One pixel is z / focal wide. Squares are compared, as a root for each pixel takes longer than all the rest.
         let slope = match self.spec.grazing_deg < 90.0 {
             true => (self.spec.grazing_deg.to_radians().tan() as f32 / focal).powi(2),
             false => f32::INFINITY,
         };
         let (reach, edge) = (self.spec.edge as usize, if self.spec.edge > 0 { EDGE } else { f32::INFINITY });
+        let mut edges = vec![0; w];
         for v in 0..h.saturating_sub(1) {
             let (row, below) = (&truth.data[v * w..(v + 1) * w], &truth.data[(v + 1) * w..(v + 2) * w]);
-            for u in 0..w.saturating_sub(1) {
-                let z = row[u];
-                let (right, below) = (row[u + 1] - z, below[u] - z);
-                if right.abs().max(below.abs()) > edge * z {
-                    for y in v.saturating_sub(reach - 1)..=(v + reach).min(h - 1) {
-                        let row = y * w;
-                        holes[row + u.saturating_sub(reach - 1)..=row + (u + reach).min(w - 1)].fill(true);
-                    }
-                } else if right * right + below * below > slope * (z * z) {
-                    holes[v * w + u] = true;
+            let pixels = row.iter().zip(&row[1..]).zip(below);
+            let marks = holes[v * w..(v + 1) * w].iter_mut().zip(&mut edges);
+            for (((z, right), below), (hole, is_edge)) in pixels.zip(marks) {
+                let (right, below) = (right - z, below - z);
+                *is_edge = u8::from((right.abs() > edge * z) | (below.abs() > edge * z));
+                *hole |= u8::from(right * right + below * below > slope * (z * z));
+            }
+            for (u, _) in edges.iter().enumerate().filter(|(_, is_edge)| **is_edge != 0) {
+                for y in v.saturating_sub(reach - 1)..=(v + reach).min(h - 1) {
+                    let row = y * w;
+                    holes[row + u.saturating_sub(reach - 1)..=row + (u + reach).min(w - 1)].fill(1);
                 }
             }
         }

@@ -14,15 +14,17 @@ mod physics;
 #[cfg(test)]
 mod tests;
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
 use armarium_robot::description::{self, default_robot, shipped_robots};
 use armarium_robot::{Limb, Model};
 use armarium_source::yaml::Node;
-use armarium_source::{Finding, Findings, Rule, Source, choice, code, form};
+use armarium_source::{Finding, Findings, Rule, Source, Span, choice, code, form};
 use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
+use serde_json::Value as Json;
 
 use crate::error::SimulationError;
 
@@ -49,8 +51,8 @@ const MAX_ROBOTS: usize = 4;
 const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
-/// The referee's probes.
-pub(crate) const PROBES: [&str; 8] =
+/// The names of the referee's probes.
+pub const PROBES: [&str; 8] =
     ["grasp", "imitation", "force", "wiped_fraction", "gestures", "coaching", "bodies", "people"];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
@@ -83,7 +85,7 @@ form! {
         pub objects: Vec<ObjectSpec> = vec![ObjectSpec::default()], Rule::most(MAX_OBJECTS);
         /// Other bodies: rigid ones, those with hinges, cups and trays.
         pub bodies: Vec<BodySpec> = Vec::new(), Rule::most(MAX_BODIES);
-        /// Robots besides the first. One that nobody commands stands still.
+        /// Robots besides the first, each with its own guard, cameras and errors. One that runs no chart stands still.
         pub robots: Vec<RobotSpec> = Vec::new(), Rule::most(MAX_ROBOTS);
         /// The person who demonstrates and coaches.
         pub coach: CoachSpec = CoachSpec::default();
@@ -119,6 +121,12 @@ form! {
         pub yaw_deg: f64 = 0.0, Rule::degrees(361.0, "yaw");
         /// Standard deviations of its sensors.
         pub noise: NoiseSpec = NoiseSpec::default();
+        /// Of a robot besides the first: the chart that it runs, a file beside the world's. Without one it stands still.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub runs: Option<String> = None, Rule::NAME;
+        /// Inputs of that chart.
+        #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+        pub inputs: BTreeMap<String, Json> = BTreeMap::new();
     }
 }
 
@@ -457,35 +465,48 @@ impl World {
     fn fits(&mut self, root: &Node, findings: &mut Findings) {
         self.find_coach(root, findings);
         self.apply_physics(root);
-        let place = |list: &str, i: usize, key: &str| {
-            root.get(list).and_then(|list| list.items().get(i)).map_or(root.span, |node| node.place(key))
-        };
+        self.objects_lie_on_the_table(root, findings);
+        self.names_differ(root, findings);
+        self.names_exist(root, findings);
+        self.robots_run(root, findings);
+        self.agents_look_away(root, findings);
+    }
+
+    fn objects_lie_on_the_table(&self, root: &Node, findings: &mut Findings) {
         for (i, object) in self.objects.iter().enumerate() {
             let off = (0..2).any(|k| (object.at[k] - self.table.center[k]).abs() > self.table.size[k] / 2.0);
             if off {
                 let [x, y] = object.at;
                 let message = format!("object `{}` at ({x}, {y}) is not on the table", object.name);
                 let help = Some("move it, or the table".into());
-                findings.error_help(code::VALUE, place("objects", i, "at"), message, help);
-            }
-            if self.objects[..i].iter().any(|other| other.name == object.name) {
-                let message = format!("two objects are named `{}`", object.name);
-                findings.error(code::DUPLICATE, place("objects", i, "name"), message);
+                findings.error_help(code::VALUE, place(root, "objects", i, "at"), message, help);
             }
         }
-        for (i, body) in self.bodies.iter().enumerate() {
-            let before = self.objects.iter().map(|o| &o.name).chain(self.bodies[..i].iter().map(|b| &b.name));
-            if before.into_iter().any(|name| *name == body.name) {
-                let message = format!("two bodies are named `{}`", body.name);
-                findings.error(code::DUPLICATE, place("bodies", i, "name"), message);
-            }
+    }
+
+    /// Objects and bodies have different names; so have robots and agents.
+    fn names_differ(&self, root: &Node, findings: &mut Findings) {
+        let things = self.objects.iter().map(|o| &o.name).enumerate().map(|(i, name)| (name, "objects", i));
+        let bodies = self.bodies.iter().map(|b| &b.name).enumerate().map(|(i, name)| (name, "bodies", i));
+        let again = named_again(things.chain(bodies));
+        for (name, list, i) in again {
+            let message = format!("two bodies are named `{name}`");
+            findings.error(code::DUPLICATE, place(root, list, i, "name"), message);
         }
-        let elsewhere = self.robot.at != [0.0; 2] || self.robot.yaw_deg != 0.0;
-        if elsewhere && !self.robot.load().is_ok_and(|model| model.platform().is_some()) {
-            let at = root.get("robot").map_or(root.span, |node| node.place("at"));
-            let help = Some("move the others".into());
-            findings.error_help(code::VALUE, at, "the first robot stands at the world's origin", help);
+        let own = [(&self.robot.name, "robot", 0)];
+        let robots = self.robots.iter().map(|r| &r.name).enumerate().map(|(i, name)| (name, "robots", i));
+        let agents = self.agents.iter().map(|a| &a.name).enumerate().map(|(i, name)| (name, "agents", i));
+        for (name, list, i) in named_again(own.into_iter().chain(robots).chain(agents)) {
+            let message = format!("two agents are named `{name}`");
+            let help = Some(
+                "each robot is an agent too; the first is named under `robot`, by default `local`".into(),
+            );
+            findings.error_help(code::DUPLICATE, place(root, list, i, "name"), message, help);
         }
+    }
+
+    /// What is knocked and the probes exist.
+    fn names_exist(&self, root: &Node, findings: &mut Findings) {
         let names: Vec<&str> = (self.objects.iter().map(|o| o.name.as_str()))
             .chain(self.bodies.iter().map(|b| b.name.as_str()))
             .chain(["hand"])
@@ -494,48 +515,74 @@ impl World {
             if !names.contains(&disturbance.knock.as_str()) {
                 let message = format!("there is no object `{}`", disturbance.knock);
                 let help = Some(format!("known: {}", names.join(", ")));
-                findings.error_help(code::REFERENCE, place("disturbances", i, "knock"), message, help);
+                findings.error_help(code::REFERENCE, place(root, "disturbances", i, "knock"), message, help);
             }
         }
-        for (i, robot) in self.robots.iter().enumerate() {
-            let mut before = [&self.robot].into_iter().chain(&self.robots[..i]);
-            if before.any(|other| other.name == robot.name) {
-                let message = format!("two robots are named `{}`", robot.name);
-                let help = Some("the first is named under `robot`, by default `local`".into());
-                findings.error_help(code::DUPLICATE, place("robots", i, "name"), message, help);
-            }
-        }
-        for (i, probe) in self.probes.iter().enumerate() {
+        for (probe, node) in self.probes.iter().zip(root.get("probes").map_or(&[][..], Node::items)) {
             if !PROBES.contains(&probe.as_str()) {
-                let at = root
-                    .get("probes")
-                    .and_then(|list| list.items().get(i))
-                    .map_or(root.span, |node| node.span);
                 let message = format!("there is no probe `{probe}`");
                 let help = Some(format!("known: {}", PROBES.join(", ")));
-                findings.unknown(code::REFERENCE, (at, probe), message, PROBES, help);
+                findings.unknown(code::REFERENCE, (node.span, probe), message, PROBES, help);
             }
         }
-        let [x, y] = self.table.center;
-        for (i, node) in root.get("agents").map_or(&[][..], Node::items).iter().enumerate() {
-            if node.get("looks_at").is_none() {
-                self.agents[i].looks_at = [x, y, self.table.height];
+    }
+
+    fn robots_run(&self, root: &Node, findings: &mut Findings) {
+        let elsewhere = self.robot.at != [0.0; 2] || self.robot.yaw_deg != 0.0;
+        let first = |key: &str| root.get("robot").map_or(root.span, |node| node.place(key));
+        if elsewhere && !self.robot.load().is_ok_and(|model| model.platform().is_some()) {
+            let help = Some("move the others".into());
+            findings.error_help(
+                code::VALUE,
+                first("at"),
+                "the first robot stands at the world's origin",
+                help,
+            );
+        }
+        if self.robot.runs.is_some() {
+            let help = Some("leave it out: `armarium run CHART` names the first robot's chart".into());
+            findings.error_help(
+                code::VALUE,
+                first("runs"),
+                "the first robot runs the chart of the run",
+                help,
+            );
+        }
+        for (i, robot) in self.robots.iter().enumerate() {
+            if robot.runs.is_none() && !robot.inputs.is_empty() {
+                let message = format!("`{}` has inputs, and no chart that takes them", robot.name);
+                let help = Some("name its chart under `runs`".into());
+                findings.error_help(code::VALUE, place(root, "robots", i, "inputs"), message, help);
             }
-            let agent = &self.agents[i];
+        }
+    }
+
+    fn agents_look_away(&mut self, root: &Node, findings: &mut Findings) {
+        let [x, y] = self.table.center;
+        for (agent, node) in self.agents.iter_mut().zip(root.get("agents").map_or(&[][..], Node::items)) {
+            if node.get("looks_at").is_none() {
+                agent.looks_at = [x, y, self.table.height];
+            }
             let squared: f64 = agent.at.iter().zip(agent.looks_at).map(|(a, b)| (a - b).powi(2)).sum();
             if squared.sqrt() < MIN_LOOK_DISTANCE {
                 let message = format!("`{}` looks at a point in its own eyes", agent.name);
                 let help = Some("move `at` or `looks_at`".into());
                 findings.error_help(code::VALUE, node.place("looks_at"), message, help);
             }
-            let robots = [&self.robot].into_iter().chain(&self.robots);
-            let mut robots = robots.map(|robot| &robot.name);
-            if robots.any(|name| *name == agent.name) || self.agents[..i].iter().any(|a| a.name == agent.name)
-            {
-                let message = format!("two agents are named `{}`", agent.name);
-                let help = Some("the robot is an agent too: `robot: {name: ..}`".into());
-                findings.error_help(code::DUPLICATE, node.place("name"), message, help);
-            }
         }
     }
+}
+
+/// Where a list's entry says something; of what is no list, where that says it.
+fn place(root: &Node, list: &str, i: usize, key: &str) -> Span {
+    let Some(node) = root.get(list) else { return root.span };
+    node.items().get(i).unwrap_or(node).place(key)
+}
+
+/// The entries whose name another before has.
+fn named_again<'w>(
+    entries: impl Iterator<Item = (&'w String, &'static str, usize)>,
+) -> Vec<(&'w String, &'static str, usize)> {
+    let mut before = BTreeSet::new();
+    entries.filter(|(name, ..)| !before.insert(*name)).collect()
 }

@@ -50,16 +50,24 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option
     let square = (SQUARE * camera.focal / f64::from(coarse.median())).min(LARGEST * h as f64);
     let scenery = coarse.closed((square / STRIDE as f64).round().max(1.0) as usize | 1);
     let mut mask = Mask::empty(Region::whole(depth.width, depth.height));
+    let mut behind = vec![0.0; w];
+    let columns = Split::all(w, scenery.width);
     for (y, (bits, row)) in mask.data_mut().chunks_exact_mut(w).zip(depth.data.chunks_exact(w)).enumerate() {
-        scenery.along_row(y, bits, |x, behind| row[x] > 0.0 && behind - row[x] > NEARER);
+        scenery.row(y, &columns, &mut behind);
+        for ((bit, z), behind) in bits.iter_mut().zip(row).zip(&behind) {
+            *bit = u8::from(*z > 0.0 && behind - z > NEARER);
+        }
     }
     let planes = coarse.planes(&mask);
-    planes.iter().for_each(|plane| reconstruct(&mut mask, depth, plane));
+    // Most pixels are background, which nobody needs to look at again for each plane.
+    let nearer: Vec<usize> =
+        mask.data().iter().enumerate().filter(|(_, bit)| **bit != 0).map(|(i, _)| i).collect();
+    planes.iter().for_each(|plane| reconstruct(&mut mask, &nearer, depth, plane));
     Some(mask)
 }
 
-/// Removes from a mask what continues a plane outside of it.
-fn reconstruct(mask: &mut Mask, depth: &DepthImage, plane: &Plane) {
+/// Removes from a mask what continues a plane outside of it. All pixels of the mask are among `nearer`.
+fn reconstruct(mask: &mut Mask, nearer: &[usize], depth: &DepthImage, plane: &Plane) {
     let (w, n) = (depth.width as usize, depth.data.len());
     let around = |i: usize| {
         let left = (!i.is_multiple_of(w)).then(|| i - 1);
@@ -69,7 +77,7 @@ fn reconstruct(mask: &mut Mask, depth: &DepthImage, plane: &Plane) {
     let flat = |i: usize| (plane.depth(i % w, i / w) - depth.data[i]).abs() < FLAT;
     let bits = mask.data_mut();
     let reached = |bits: &[u8], i: usize| flat(i) && around(i).any(|j| bits[j] == 0 && flat(j));
-    let mut open: Vec<usize> = (0..n).filter(|&i| bits[i] != 0 && reached(bits, i)).collect();
+    let mut open: Vec<usize> = nearer.iter().copied().filter(|&i| bits[i] != 0 && reached(bits, i)).collect();
     while let Some(i) = open.pop() {
         if std::mem::take(&mut bits[i]) != 0 {
             open.extend(around(i).filter(|&j| bits[j] != 0 && flat(j)));
@@ -231,20 +239,32 @@ impl Grid {
         surfaces.iter().take(MAX_PLANES).filter_map(|s| Plane::through(s)).collect()
     }
 
-    /// Sets each pixel of an image's row `y` by `test` of its column and the interpolated depth of this grid.
-    fn along_row(&self, y: usize, bits: &mut [u8], test: impl Fn(usize, f32) -> bool) {
-        let height = self.data.len() / self.width;
-        let split = |at: usize, n: usize| {
-            let place = ((at as f32 - (STRIDE / 2) as f32) / STRIDE as f32).clamp(0.0, (n - 1) as f32);
-            (place as usize, (place as usize + 1).min(n - 1), place.fract())
-        };
-        let (above, below, part) = split(y, height);
+    /// The depths along an image's row `y`, interpolated between the cells that the `columns` name.
+    fn row(&self, y: usize, columns: &[Split], depths: &mut [f32]) {
+        let Split { first, second, part } = Split::of(y, self.data.len() / self.width);
         let row = |r: usize| &self.data[r * self.width..(r + 1) * self.width];
-        let line: Vec<f32> = row(above).iter().zip(row(below)).map(|(a, b)| a + (b - a) * part).collect();
-        for (x, bit) in bits.iter_mut().enumerate() {
-            let (left, right, part) = split(x, self.width);
-            *bit = u8::from(test(x, line[left] + (line[right] - line[left]) * part));
+        let line: Vec<f32> = row(first).iter().zip(row(second)).map(|(a, b)| a + (b - a) * part).collect();
+        for (depth, Split { first, second, part }) in depths.iter_mut().zip(columns) {
+            *depth = line[*first] + (line[*second] - line[*first]) * part;
         }
+    }
+}
+
+/// The cells of a [`Grid`] on both sides of a pixel, along one axis, and how far it is on the way to the second.
+struct Split {
+    first: usize,
+    second: usize,
+    part: f32,
+}
+
+impl Split {
+    fn of(pixel: usize, cells: usize) -> Self {
+        let place = ((pixel as f32 - (STRIDE / 2) as f32) / STRIDE as f32).clamp(0.0, (cells - 1) as f32);
+        Self { first: place as usize, second: (place as usize + 1).min(cells - 1), part: place.fract() }
+    }
+
+    fn all(pixels: usize, cells: usize) -> Vec<Self> {
+        (0..pixels).map(|pixel| Self::of(pixel, cells)).collect()
     }
 }
 
