@@ -103,7 +103,7 @@ impl FingerTipTracking {
             self.filter.clear();
             (self.skin, self.last) = (None, None);
         }
-        match find_near_too(frame, &self.calibration, self.skin) {
+        match find_near_too(frame, frame.depth.as_ref(), &self.calibration, self.skin) {
             Some(hand) => self.seen(frame, &hand),
             None => self.unseen(frame),
         }

@@ -1,7 +1,7 @@
 //! Selects the hand among the skin-coloured regions of a frame.
 //!
 //! With a depth image only regions that stand out of the background are considered, so that a skin-coloured table
-//! does not matter. Without one, regions seen by both cameras are compared, and a colour that covers more area than a
+//! does not matter; where it has holes, as along thin fingers, colour decides. Without one, regions seen by both cameras are compared, and a colour that covers more area than a
 //! hand can is background. It keeps no state between frames; the caller may pass a preferred colour.
 
 use super::relief::{MIN_RELIEF, standing_out, surroundings};
@@ -27,6 +27,8 @@ const NEAR: f32 = 0.95;
 const HAND_LENGTH: f32 = 0.22;
 /// Number of candidates examined at full resolution.
 const LOOKED_AT: usize = 4;
+/// A colour is the hand's own if pixels around that do not stand out have it, too, in less than this share of the hand's.
+const OWN_COLOR: f64 = 0.1;
 /// Mean and spread of the log-chromaticities of light and dark skin in white light.
 const USUAL_SKIN: ([f32; 2], f64) = ([0.30, 0.25], 0.12);
 /// Spread of the skin colour of one hand from frame to frame.
@@ -62,6 +64,8 @@ struct Candidate {
 /// The search in one frame.
 struct Search<'a> {
     frame: &'a StereoFrame,
+    /// The frame's depth image without narrow holes.
+    depth: Option<&'a DepthImage>,
     calibration: &'a StereoCalibration,
     clusters: SkinClusters,
     /// The pixels that stand out by depth.
@@ -73,23 +77,25 @@ struct Search<'a> {
 /// Finds the region most similar to a hand. `skin`: the log-chromaticities of the hand in the last frames.
 pub(crate) fn find(
     frame: &StereoFrame,
+    depth: Option<&DepthImage>,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
 ) -> Option<HandCandidate> {
-    let out = frame.depth.as_ref().and_then(|d| standing_out(d, &calibration.camera));
-    find_among(frame, calibration, skin, out)
+    let out = depth.and_then(|d| standing_out(d, &calibration.camera));
+    find_among(frame, depth, calibration, skin, out)
 }
 
 /// As [`find`], for hands so near that they hide much of the background: first searches the nearest region alone.
 pub(crate) fn find_near_too(
     frame: &StereoFrame,
+    depth: Option<&DepthImage>,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
 ) -> Option<HandCandidate> {
-    let nearest = frame.depth.as_ref().and_then(|d| nearest(d, &calibration.camera));
+    let nearest = depth.and_then(|d| nearest(d, &calibration.camera));
     nearest
-        .and_then(|out| find_among(frame, calibration, skin, Some(out)))
-        .or_else(|| find(frame, calibration, skin))
+        .and_then(|out| find_among(frame, depth, calibration, skin, Some(out)))
+        .or_else(|| find(frame, depth, calibration, skin))
 }
 
 /// The pixels at most a hand's length behind the nearest one; `None` when that is not near or they fill most of
@@ -118,15 +124,15 @@ fn nearest(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
 /// Finds the hand among the pixels `out` that stand out by depth; without a depth image, by stereo.
 fn find_among(
     frame: &StereoFrame,
+    depth: Option<&DepthImage>,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
     out: Option<Mask>,
 ) -> Option<HandCandidate> {
     let left = HalfImage::of(&frame.left);
-    let depth = frame.depth.as_ref();
     let clusters = SkinClusters::find(&left, out.as_ref());
     let preferred = skin.map_or(USUAL_SKIN, |s| (s, SAME_SKIN));
-    let search = Search { frame, calibration, clusters, out, preferred };
+    let search = Search { frame, depth, calibration, clusters, out, preferred };
     let mut candidates: Vec<Candidate> = match (depth, &search.out) {
         (Some(depth), Some(out)) => {
             search.clusters.labels().flat_map(|l| search.by_depth(&left, depth, out, l)).collect()
@@ -145,19 +151,57 @@ impl Search<'_> {
     /// Examines the candidate at full resolution; `None` if its shape is not a hand's.
     fn look_closely(&self, candidate: &Candidate) -> Option<HandCandidate> {
         let size = (self.frame.left.width(), self.frame.left.height());
-        let whole = |image, part: &Component, among| {
-            own_pixels(&self.clusters.mask(image, full(&part.bounds, size), candidate.label, among))
-        };
-        let left = whole(&self.frame.left, &candidate.left, self.out.as_ref());
+        let region = |part: &Component| full(&part.bounds, size);
+        let of_color = |image, part| self.clusters.mask(image, region(part), candidate.label, None);
+        let left = own_pixels(&match &self.out {
+            Some(out) => self.standing_out(out, region(&candidate.left), candidate.label),
+            None => of_color(&self.frame.left, &candidate.left),
+        });
         let shape = hand_shape(&left, candidate.z / self.calibration.camera.focal)?;
         let fits = (PALM_RADII.0..PALM_RADII.1).contains(&shape.palm_radius)
             && (AREAS.0..AREAS.1).contains(&shape.area);
-        let about = self.frame.depth.as_ref().map(|d| surroundings(&left, d));
+        let about = self.depth.map(|d| surroundings(&left, d));
         let stands_out = about.is_none_or(|a| a.deeper >= MIN_RELIEF);
         let hidden = about.map_or(0.0, |a| a.nearer);
-        let right = candidate.right.as_ref().map(|part| whole(&self.frame.right, part, None));
+        let right = candidate.right.as_ref().map(|part| own_pixels(&of_color(&self.frame.right, part)));
         let skin = self.clusters.peak(candidate.label);
         (fits && stands_out).then_some(HandCandidate { left, right, z: candidate.z, shape, skin, hidden })
+    }
+
+    /// The pixels of a colour that stand out, and those that follow them where depth was not measured, if elsewhere in the
+    /// region nothing has that colour.
+    fn standing_out(&self, out: &Mask, region: Region, label: u8) -> Mask {
+        let image = &self.frame.left;
+        let mut hand = self.clusters.mask(image, region, label, Some(out));
+        let Some(depth) = self.frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0)) else {
+            return hand;
+        };
+        let colored = self.clusters.mask(image, region, label, None);
+        let region = hand.region();
+        let w = region.width as usize;
+        let is_hole = |i: usize| {
+            let (x, y) = (region.x as usize + i % w, region.y as usize + i / w);
+            depth.data[y * depth.width as usize + x] == 0.0
+        };
+        let follows: Vec<bool> =
+            colored.data().iter().enumerate().map(|(i, bit)| *bit != 0 && is_hole(i)).collect();
+        let both = colored.data().iter().zip(hand.data()).zip(&follows);
+        let elsewhere = both.filter(|((color, hand), hole)| **color != 0 && **hand == 0 && !**hole).count();
+        if elsewhere as f64 > OWN_COLOR * hand.count() as f64 {
+            return hand;
+        }
+        let bits = hand.data_mut();
+        let mut open: Vec<usize> = (0..bits.len()).filter(|i| bits[*i] != 0).collect();
+        while let Some(i) = open.pop() {
+            let (left, right) = ((i % w > 0).then(|| i - 1), (i % w + 1 < w).then_some(i + 1));
+            let around = [left, right, i.checked_sub(w), Some(i + w)].into_iter().flatten();
+            for next in around.filter(|next| follows.get(*next) == Some(&true)) {
+                if std::mem::replace(&mut bits[next], 1) == 0 {
+                    open.push(next);
+                }
+            }
+        }
+        hand
     }
 
     /// The area of a region at a depth, m^2.

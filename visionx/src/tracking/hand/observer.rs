@@ -8,7 +8,7 @@ use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
 use crate::components::largest_bounds;
-use crate::frame::StereoFrame;
+use crate::frame::{DepthImage, StereoFrame};
 use crate::tracking::{GestureRecognizer, SeenFinger};
 
 /// Finds a hand and its gesture in a stream of frames.
@@ -79,10 +79,6 @@ impl HandObserver {
     /// Processes a frame; returns the hand in it, `None` when there is none or when the images do not have
     /// the calibration's size.
     pub fn update(&mut self, frame: &StereoFrame) -> Option<HandObservation> {
-        // A depth camera has no depth along the hand's outline.
-        let whole = frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0));
-        let whole = whole.map(|depth| StereoFrame { depth: Some(depth.filled()), ..frame.clone() });
-        let frame = whole.as_ref().unwrap_or(frame);
         if !self.calibration.fits(frame) {
             return None;
         }
@@ -92,7 +88,10 @@ impl HandObserver {
             self.memory = None;
         }
         let find = if self.near { find_near_too } else { find };
-        let hand = find(frame, &self.calibration, self.memory.as_ref().map(|m| m.skin))?;
+        // A depth camera has no depth along the hand's outline.
+        let filled = frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0)).map(DepthImage::filled);
+        let depth = filled.as_ref().or(frame.depth.as_ref());
+        let hand = find(frame, depth, &self.calibration, self.memory.as_ref().map(|m| m.skin))?;
         self.observe(frame, &hand)
     }
 
