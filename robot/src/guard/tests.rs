@@ -281,7 +281,7 @@ fn a_strong_push_is_given_way_to_until_it_is_under_the_limit() {
     let start = rig.joints.kinematics().pose(tcp).translation.vector;
     let spring = move |at: Point3<f64>| Vector3::new(500.0 * (start.x - 0.16 - at.x).min(0.0), 0.0, 0.0);
     rig.run(2000, spring);
-    let Some(Fault::Force { force_n, limit_n }) = arm.fault() else { panic!("{:?}", arm.fault()) };
+    let Some(Fault::Force { force_n, limit_n, .. }) = arm.fault() else { panic!("{:?}", arm.fault()) };
     assert!(limit_n == 40.0 && force_n > 60.0 && force_n < 90.0, "{force_n}");
     assert_eq!(hand.fault(), None);
     let force = rig.wrist().force.norm();
@@ -327,7 +327,7 @@ fn a_frozen_wrench_faults_the_arm_but_not_the_head() {
     rig.run(99, |_| Vector3::zeros());
     assert_eq!(arm.fault(), None);
     rig.run(5, |_| Vector3::zeros());
-    assert!(matches!(arm.fault(), Some(Fault::FrozenWrench { frozen_ms: 100 })), "{:?}", arm.fault());
+    assert!(matches!(arm.fault(), Some(Fault::FrozenWrench { frozen_ms: 100, .. })), "{:?}", arm.fault());
     assert_eq!(head.fault(), None);
     drop(arm);
     rig.frozen = false;
@@ -357,7 +357,8 @@ fn each_arm_has_a_sensor_of_its_own() {
     // So does too strong a force.
     let (right, left) = (rig.lease("right_arm"), rig.lease("left_arm"));
     (0..200).for_each(|_| rig.step(&[(LEFT, Vector3::x() * -60.0)]));
-    assert!(matches!(left.fault(), Some(Fault::Force { .. })) && right.fault().is_none());
+    let said = left.fault().map(|fault| fault.to_string()).unwrap_or_default();
+    assert!(said.contains("`left_wrist`") && right.fault().is_none(), "{said}");
     let unknown = rig.robot.tare("nose").unwrap_err().to_string();
     assert_eq!(unknown, "the robot has no wrench sensor `nose`; it has right_wrist, left_wrist");
     assert!(rig.robot.set_load("nose", None).is_err());
@@ -539,6 +540,36 @@ fn a_hand_and_what_it_holds_stop_before_a_known_table_unless_the_lease_names_it(
         let touching = nearest_to_a_board(&["board".into()], load);
         assert!(touching < 0.0, "{touching}");
     }
+}
+
+/// A ball on a platform of a kind, driven to its right and forward while it turns.
+fn driven(kind: &str) -> [f64; 3] {
+    let urdf = "<robot name='ball'><link name='base'><collision><geometry><sphere radius='0.1'/></geometry></collision></link></robot>";
+    let file = format!(
+        "robot: ball\ndescription: ball.urdf\nplatform: {{kind: {kind}, speed: 1 m/s, turn: 1 rad/s}}\n"
+    );
+    let model = crate::description::from_texts(&file, urdf).unwrap().model;
+    let (mut guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    let mut sample = crate::guard::Sample::resting(&model, model.zero());
+    let lease = robot.lease("platform", "test", LeaseLimits::default()).unwrap();
+    let mut aside: f64 = 0.0;
+    for ms in 0..1000 {
+        lease.command(&[0.5, 0.5, 0.3]).unwrap();
+        let targets = guard.step(ms * 1_000_000, &sample).clone();
+        let (sin, cos) = sample.position[2].sin_cos();
+        aside = aside.max((targets.velocity[0] * cos + targets.velocity[1] * sin).abs());
+        (sample.position, sample.velocity) = (targets.position, targets.velocity);
+    }
+    [aside, sample.position[0].hypot(sample.position[1]), sample.position[2]]
+}
+
+#[test]
+fn a_differential_platform_rolls_and_turns_and_does_not_move_to_its_side() {
+    let [aside, way, turned] = driven("differential");
+    assert!(aside < 1e-3, "{aside}");
+    assert!(way > 0.3 && turned > 0.2, "{way} {turned}");
+    let [aside, ..] = driven("holonomic");
+    assert!(aside > 0.4, "{aside}");
 }
 
 #[test]
