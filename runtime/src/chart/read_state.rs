@@ -211,9 +211,12 @@ impl Reader<'_> {
 
     fn states(&mut self, node: &Node, level: usize) -> Vec<State> {
         let mut states = Vec::new();
-        if let Yaml::List(_) = &node.value {
+        if let Yaml::List(items) = &node.value {
             let help = "write each as `Name: {skill: ...}`, without `-`";
             self.error_help(code::FORM, node.span, "states stand under their names, not in a list", help);
+            if let Some(remedy) = foreign::by_name(&self.findings.source, items) {
+                self.findings.remedy(remedy);
+            }
             return states;
         }
         let entries = self.entries(node);
