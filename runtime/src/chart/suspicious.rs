@@ -213,7 +213,8 @@ impl Suspects<'_, '_> {
     /// The finding that was added last is put right by a state that is final.
     fn end_at(&mut self, id: StateId) {
         let owner = Some(self.tree.state(id).model.name.span);
-        let remedy = Remedy::Add { owner, sections: Vec::new(), key: "final".into(), value: "success".into() };
+        let remedy =
+            Remedy::Add { owner, sections: Vec::new(), key: "final".into(), value: "success".into() };
         if let Some(finding) = self.findings.last_mut() {
             finding.remedy = Some(remedy);
         }

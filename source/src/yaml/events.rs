@@ -42,7 +42,7 @@ pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Refusal
     let mut options = granit_parser::Options::default();
     options.emit_comments = false;
     let parser = Parser::new_from_str_with_options(text, options);
-    let mut reader = Reader {
+    let mut reader = TreeReader {
         text,
         parser,
         anchors: BTreeMap::new(),
@@ -67,14 +67,14 @@ pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Refusal
                     tree = Some(reader.node(event, at, depth)?);
                 }
             }
-            _ => return Err(Reader::unexpected(at)),
+            _ => return Err(TreeReader::unexpected(at)),
         }
     }
     let root = tree.unwrap_or(Node { span: everything, value: Yaml::Null });
     Ok((root, reader.divisible))
 }
 
-struct Reader<'t> {
+struct TreeReader<'t> {
     text: &'t str,
     parser: Parser<'t, StrInput<'t>>,
     /// What anchors stand for, once it is complete.
@@ -88,7 +88,7 @@ struct Reader<'t> {
     divisible: bool,
 }
 
-impl<'t> Reader<'t> {
+impl<'t> TreeReader<'t> {
     fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Box<Refusal>> {
         match self.parser.next_event() {
             None => Ok(None),
