@@ -83,13 +83,13 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
 /// The findings are in the order of their places.
 fn explain(findings: &mut Vec<Finding>) {
     let place = |finding: &Finding| (finding.source.path.clone(), finding.span.start);
-    let seems = |finding: &Finding| finding.code == code::SUSPICIOUS && finding.remedy.is_some();
+    let seems = |finding: &Finding| finding.code == code::SUSPICIOUS;
     let meant: BTreeMap<_, Finding> =
         findings.iter().filter(|f| seems(f)).map(|f| (place(f), f.clone())).collect();
     let mut explained = BTreeSet::new();
     for error in findings.iter_mut().filter(|f| matches!(f.code, code::TYPE | code::REFERENCE)) {
         let at = place(error);
-        if let Some(meant) = meant.get(&at) {
+        if let Some(meant) = meant.get(&at).filter(|m| m.remedy.is_some() || error.code == code::REFERENCE) {
             (error.help, error.remedy) = (meant.help.clone(), meant.remedy.clone());
             explained.insert(at);
         }

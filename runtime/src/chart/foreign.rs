@@ -221,7 +221,7 @@ pub(super) fn by_name(source: &Source, items: &[Node]) -> Option<Remedy> {
         let lines = text[first..last].match_indices('\n').map(|(at, _)| first + at + 1);
         let starts = [first].into_iter().chain(lines);
         edits.extend(starts.map(|at| Edit { span: Span { start: at, end: at }, text: "  ".to_owned() }));
-        edits.sort_by_key(|edit| edit.span.start);
+        edits.sort_by_key(|edit| (edit.span.start, edit.span.end));
     }
     Some(Remedy::Replace(edits))
 }
