@@ -167,7 +167,7 @@ impl Workspace {
             });
             let found = again.iter().map(|r| (&*r.source, r.span.start, r.symbol.clone()));
             let (expected, found) = (ordered(expected), ordered(found));
-            let differs = |(a, b): &(&Place<'_>, &Place<'_>)| order(a, b).is_ne();
+            let differs = |(a, b): &(&Occurrence<'_>, &Occurrence<'_>)| order(a, b).is_ne();
             let other = expected
                 .iter()
                 .zip(&found)
@@ -240,15 +240,15 @@ impl Workspace {
 }
 
 /// A file, a byte of it, and what the name there stands for.
-type Place<'s> = (&'s Source, usize, Symbol);
+type Occurrence<'s> = (&'s Source, usize, Symbol);
 
-fn order(a: &Place<'_>, b: &Place<'_>) -> Ordering {
+fn order(a: &Occurrence<'_>, b: &Occurrence<'_>) -> Ordering {
     a.0.by_path(b.0).then_with(|| (a.1, &a.2).cmp(&(b.1, &b.2)))
 }
 
 /// What stands where, in the order of the files, each once.
-fn ordered<'s>(places: impl Iterator<Item = Place<'s>>) -> Vec<Place<'s>> {
-    let mut places: Vec<Place<'s>> = places.collect();
+fn ordered<'s>(places: impl Iterator<Item = Occurrence<'s>>) -> Vec<Occurrence<'s>> {
+    let mut places: Vec<Occurrence<'s>> = places.collect();
     places.sort_by(order);
     places.dedup_by(|a, b| order(a, b).is_eq());
     places

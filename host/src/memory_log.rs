@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{Change, Follower, Memory, Pattern, Snapshot, place_of};
+use armarium_memoryx::{Change, Follower, Memory, Pattern, Snapshot, WORLD, place_of};
 use armarium_simulator::referee::TruthLog;
 use armarium_simulator::{Handle, World};
 use armarium_values::Value;
@@ -97,6 +97,8 @@ impl Frames {
         let whose = match frame.0.strip_suffix("/root") {
             Some(other) => other,
             None if frame.0 == "root" => agent,
+            // The simulated world's frame is the robot's root frame.
+            None if frame.0 == WORLD => return Some(Point3::from(place)),
             None => return None,
         };
         Some(self.0.get(whose)? * Point3::from(place))

@@ -96,13 +96,18 @@ pub(crate) async fn stop_after(longest: Duration, controller: Controller) {
     controller.stop(format!("the run was to last {} s at most", longest.as_secs_f64()));
 }
 
-/// Ends the recording when its file has `most` bytes.
+/// What is written at the end of a recording at most, bytes: the chunk that is being collected, and what says what its topics hold.
+const AT_THE_END: u64 = (1 << 20) + (1 << 17);
+/// A recording's index is at most this part of it.
+const INDEX: u64 = 200;
+
+/// Ends the recording while its file, with its end and its index, still has at most `most` bytes.
 pub(crate) async fn bound_recording(file: PathBuf, most: u64, recorder: SharedRecorder) {
     let mut tick = tokio::time::interval(Duration::from_millis(100));
     loop {
         tick.tick().await;
-        if std::fs::metadata(&file).is_ok_and(|metadata| metadata.len() >= most) {
-            return recorder.end(&format!("its file has the {most} bytes that it may have"));
+        if std::fs::metadata(&file).is_ok_and(|file| file.len() + file.len() / INDEX + AT_THE_END >= most) {
+            return recorder.end(&format!("its file may have {most} bytes"));
         }
     }
 }

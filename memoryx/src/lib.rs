@@ -54,7 +54,9 @@ pub use query::{Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use server::{MemoryServer, ServerOptions};
-pub use share::{FollowSettings, FollowedAgent, Followee, Following, FollowingAgent, agent_pose_update};
+pub use share::{
+    FollowSettings, FollowedAgent, Followee, Following, FollowingAgent, WORLD, agent_pose_update,
+};
 pub use store::{
     Coding, Consolidator, Dropped, LongTermMemory, NamedSnapshot, Policies, Policy, Retention, StoreError,
     StoreStats, Verification,

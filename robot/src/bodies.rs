@@ -230,6 +230,11 @@ impl Bodies {
         (0..self.bodies.len()).filter(|&body| hand.contains(&self.bodies[body].link)).collect()
     }
 
+    /// The bodies of all hands and of what they hold: by the guard, only these stop before known boxes.
+    pub(crate) fn hands(&self, model: &Model) -> Vec<usize> {
+        model.arms().filter_map(|arm| arm.tcp).flat_map(|tcp| self.beyond(model, tcp)).collect()
+    }
+
     /// What a body is called: as a known box or a load, or as the link that carries it.
     pub(crate) fn name<'a>(&'a self, model: &'a Model, body: usize) -> &'a str {
         let body = &self.bodies[body];

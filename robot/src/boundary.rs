@@ -1,6 +1,8 @@
 //! The data between skills and a robot: samples of the sensors, limits of a lease, and why a command is refused.
 //! The trait is [`Robot`](crate::Robot).
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// A sample of all the robot's sensors. Joint arrays are in the order of the model's joints.
@@ -106,9 +108,13 @@ pub struct LeaseLimits {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Fault {
-    /// The wrist force exceeded the limit; the arm yielded along the force.
-    #[error("the wrist force reached {force_n:.0} N, over its limit of {limit_n:.0} N; the arm gave way")]
+    /// The force at a wrench sensor exceeded the limit; its arm yielded along the force.
+    #[error(
+        "the force at `{sensor}` reached {force_n:.0} N, over its limit of {limit_n:.0} N; its arm gave way"
+    )]
     Force {
+        /// The wrench sensor. It may be that of another arm than the commanded one: a torso moves both.
+        sensor: Arc<str>,
         /// Largest measured force, N.
         force_n: f64,
         /// The limit in force, N.
@@ -120,9 +126,13 @@ pub enum Fault {
         /// Time without a command, ms.
         silent_ms: u64,
     },
-    /// The wrist sensor repeats the same sample: the sensor or its connection is broken.
-    #[error("the wrist sensor has not changed for {frozen_ms} ms; check the sensor and its cable")]
+    /// A wrench sensor repeats the same sample: the sensor or its connection is broken.
+    #[error(
+        "the wrench sensor `{sensor}` has not changed for {frozen_ms} ms; check the sensor and its cable"
+    )]
     FrozenWrench {
+        /// The wrench sensor.
+        sensor: Arc<str>,
         /// How long it has not changed, ms.
         frozen_ms: u64,
     },

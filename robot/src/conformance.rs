@@ -20,6 +20,8 @@ use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, LinkId, Model, Ro
 pub const STANDING: f64 = 0.01;
 /// Time within which every joint of the limb must stand still, ns.
 pub const STANDING_WITHIN_NS: u64 = 200_000_000;
+/// How long an arm gives way to what it has met at most, until the force is under its limit, ns.
+const GIVES_WAY_NS: u64 = 500_000_000;
 /// Over how long a speed is averaged, ns. The guard bounds what is commanded; a drive that is stepped to its speed overshoots
 /// for some 30 ms (by 28 % in the simulator).
 const MEAN_NS: u64 = 50_000_000;
@@ -129,6 +131,13 @@ impl<'a> Probe<'a> {
                 return Ok((now, command));
             }
         }
+    }
+
+    /// The limb stands still; where it has met something, once it has given way.
+    async fn stands_after(&mut self, met: bool) -> Result<(), Violation> {
+        let start = self.sample().await?.stamp_ns;
+        while met && self.sample().await?.stamp_ns < start + GIVES_WAY_NS {}
+        self.stands().await
     }
 
     /// After `STANDING_WITHIN_NS` the limb stands still, and continues to do so for the same time.
@@ -276,6 +285,7 @@ impl<'a> Probe<'a> {
             return Ok(());
         }
         let lease = self.lease(LeaseLimits::default())?;
+        let mut met = false;
         loop {
             let now = self.sample().await?;
             let towards = |&j: &usize| (goal[j] - now.position[j]) * 5.0;
@@ -283,7 +293,10 @@ impl<'a> Probe<'a> {
             match lease.command(&command) {
                 Ok(()) => {}
                 // It has met something that it does not know.
-                Err(Fault::Force { .. }) => break,
+                Err(Fault::Force { .. }) => {
+                    met = true;
+                    break;
+                }
                 Err(fault) => return self.broken(format!("a sound command was refused: {fault}")),
             }
             kinematics.update(&now.position);
@@ -296,7 +309,7 @@ impl<'a> Probe<'a> {
             }
         }
         drop(lease);
-        self.stands().await
+        self.stands_after(met).await
     }
 
     /// Puts a board before the hand and drives it there at full speed.
@@ -325,11 +338,15 @@ impl<'a> Probe<'a> {
             return self.broken(error.to_string());
         }
         let lease = self.lease(LeaseLimits::default())?;
+        let mut met = false;
         loop {
             match lease.command(&command) {
                 Ok(()) => {}
                 // It has met something that it does not know.
-                Err(Fault::Force { .. }) => break,
+                Err(Fault::Force { .. }) => {
+                    met = true;
+                    break;
+                }
                 Err(fault) => return self.broken(format!("a sound command was refused: {fault}")),
             }
             let now = self.sample().await?;
@@ -346,7 +363,7 @@ impl<'a> Probe<'a> {
         if let Err(error) = self.robot.set_surroundings(Vec::new()) {
             return self.broken(error.to_string());
         }
-        self.stands().await
+        self.stands_after(met).await
     }
 
     async fn commands_move_the_joints(&mut self) -> Result<(), Violation> {

@@ -136,22 +136,20 @@ pub fn read<F: Form>(source: Arc<Source>) -> Result<F, Vec<Finding>> {
     read_node(source).map(|(form, _)| form)
 }
 
-/// Reads a whole file, and gives its tree too, in which the place of everything is. A file with nothing but comments is one
-/// without keys.
+/// Reads a whole file, and gives its tree too, in which the place of everything is. A file without keys, be it with nothing but
+/// comments, is refused.
 ///
 /// # Errors
 /// Everything that is wrong with it, in the order of the text.
 pub fn read_node<F: Form>(source: Arc<Source>) -> Result<(F, Arc<Node>), Vec<Finding>> {
-    if source.text.trim().is_empty() {
-        let mut findings = Findings::new(source);
+    let blank = source.text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#'));
+    let mut findings = Findings::new(source);
+    let node = if blank { None } else { yaml::parse(&mut findings) };
+    if blank || node.as_ref().is_some_and(|node| node.value == Yaml::Null) {
         let message = format!("the file is empty: {} has the keys {}", F::CALLED, names_of::<F>());
         findings.error(code::FILE, Span { start: 0, end: 1 }, message);
         return Err(findings.list);
     }
-    let blank = source.text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#'));
-    let mut findings = Findings::new(source);
-    let nothing = Node { span: Span { start: 0, end: 1 }, value: Yaml::Null };
-    let node = if blank { Some(Arc::new(nothing)) } else { yaml::parse(&mut findings) };
     if let Some(node) = &node
         && node.get("statechart").is_some()
         && !F::keys().iter().any(|key| key.name == "statechart")

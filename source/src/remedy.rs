@@ -93,7 +93,7 @@ impl Remedy {
                         None => return Vec::new(),
                     },
                 };
-                let place = Place { text: &source.text, layout: source.layout() };
+                let place = Insertion { text: &source.text, layout: source.layout() };
                 place.add(owner, sections, key, value).into_iter().collect()
             }
         }
@@ -126,12 +126,12 @@ fn remove(text: &str, layout: &Layout, key: Span) -> Option<Edit> {
     Some(Edit { span, text: String::new() })
 }
 
-struct Place<'t> {
+struct Insertion<'t> {
     text: &'t str,
     layout: &'t Layout,
 }
 
-impl Place<'_> {
+impl Insertion<'_> {
     fn add(&self, owner: Option<usize>, sections: &[&str], key: &str, value: &str) -> Option<Edit> {
         if let [section, deeper @ ..] = sections {
             return match self.layout.child(self.text, owner, section) {

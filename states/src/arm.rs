@@ -129,6 +129,8 @@ pub(crate) struct ArmLeases {
     lease: Lease,
     /// The joints of the helpers, then the arm's.
     pub(crate) joints: Vec<usize>,
+    /// The places that its hand may touch.
+    pub(crate) touches: Vec<String>,
 }
 
 impl ArmLeases {
@@ -149,7 +151,8 @@ impl ArmLeases {
             }
         };
         let model = equipment.robot.model();
-        Ok(Self { lease, joints: limbs.iter().flat_map(|limb| model.limb(limb)).copied().collect() })
+        let joints = limbs.iter().flat_map(|limb| model.limb(limb)).copied().collect();
+        Ok(Self { lease, joints, touches })
     }
 
     /// Sets the velocities, in the order of the joints.
@@ -195,6 +198,11 @@ impl Arm {
     /// What it is.
     pub(crate) fn limb(&self) -> &Limb {
         &self.limb
+    }
+
+    /// Its leases.
+    pub(crate) fn leases(&self) -> &ArmLeases {
+        &self.leases
     }
 
     /// The joints with which it reaches.

@@ -14,7 +14,7 @@ use armarium_robot::{
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3};
 
-use crate::arm::Senses;
+use crate::arm::{ArmLeases, Senses};
 use crate::equipment::Equipment;
 use crate::motions::failed;
 use crate::places::{Known, distance, known};
@@ -37,6 +37,8 @@ pub(crate) type Path = Vec<Vec<f64>>;
 pub(crate) struct Around {
     model: Arc<Model>,
     boxes: Vec<KnownBox>,
+    /// The places that the hand may not touch.
+    kept: Vec<String>,
     /// What the hands hold.
     loads: BTreeMap<String, Load>,
     arm: String,
@@ -46,12 +48,12 @@ pub(crate) struct Around {
 }
 
 impl Around {
-    /// What is around `arm`, which moves with `joints`, on its way from the positions `now` of all joints; `target` is where its
+    /// What is around `arm`, which moves by these leases, on its way from the positions `now` of all joints; `target` is where its
     /// TCP goes, root frame, if that is known.
     pub(crate) async fn of(
         equipment: &Equipment,
         arm: &Limb,
-        joints: &[usize],
+        leases: &ArmLeases,
         now: &[f64],
         target: Option<&Isometry3<f64>>,
     ) -> Result<Self, Failure> {
@@ -71,10 +73,12 @@ impl Around {
             let at_hand = || grasps.iter().any(|grasp| distance(&known.shape, grasp) < AT_HAND);
             known.thing.is_none() || !(held || at_hand())
         };
-        let known = known(equipment.remembered()).await?.into_iter().filter(in_the_way);
-        let joints = joints.to_vec();
-        let (boxes, arm) = (known.map(|known| known.shape).collect(), arm.name.clone());
-        Ok(Self { boxes, loads, tcp, joints, arm, equipment: equipment.clone(), model })
+        let known: Vec<Known> = known(equipment.remembered()).await?.into_iter().filter(in_the_way).collect();
+        let places = known.iter().filter(|known| known.thing.is_none()).map(|known| &known.shape.name);
+        let kept = places.filter(|name| !leases.touches.contains(name)).cloned().collect();
+        let joints = leases.joints.clone();
+        let (boxes, arm) = (known.into_iter().map(|known| known.shape).collect(), arm.name.clone());
+        Ok(Self { boxes, kept, loads, tcp, joints, arm, equipment: equipment.clone(), model })
     }
 
     /// A path from `now` to `goal`: only these two where the straight way is free.
@@ -99,7 +103,7 @@ impl Around {
     }
 
     fn planner(&self) -> Planner {
-        Planner::carrying(&self.model, &self.loads, &self.boxes)
+        Planner::carrying(&self.model, &self.loads, &self.boxes).stopped_before(&self.kept)
     }
 
     fn plan(&self, planner: &mut Planner, now: &[f64], goal: &[f64]) -> Result<Path, Failure> {

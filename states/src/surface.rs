@@ -5,14 +5,13 @@
 
 use std::collections::BTreeMap;
 
-use armarium_memoryx::{Commit, EntityId, Memory};
+use armarium_memoryx::{Commit, EntityId};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 use armarium_visionx::{PinholeCamera, StereoFrame, TabletopSegmentation};
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
-use crate::inputs::pose_value;
 use crate::motions::failed;
 use crate::places::{Remembered, places};
 
@@ -94,7 +93,7 @@ impl Surface {
     /// Puts the table on which an object of this `height` (m) with its middle at `middle` stands into memory, as it is seen in a
     /// frame with depth. Returns its surface; `None` where there is none to be seen.
     pub(crate) async fn see(
-        (memory, agent): (&dyn Memory, &str),
+        (remembered, agent): (Remembered<'_>, &str),
         camera: PinholeCamera,
         frame: &StereoFrame,
         (middle, height): (&Point3<f64>, f64),
@@ -107,10 +106,10 @@ impl Surface {
         }
         let id = EntityId::new("EnvironmentModels", agent, "table").map_err(failed)?;
         let attributes = BTreeMap::from([
-            ("pose".to_owned(), pose_value(&root_from_table)),
+            ("pose".to_owned(), remembered.placed(&root_from_table)),
             ("size".to_owned(), Value::from([x, y, 0.0])),
         ]);
-        memory.commit(vec![Commit::new(id, frame.stamp_ns, attributes)]).await.map_err(failed)?;
+        remembered.memory.commit(vec![Commit::new(id, frame.stamp_ns, attributes)]).await.map_err(failed)?;
         Ok(Some(surface))
     }
 }
@@ -138,12 +137,13 @@ fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Instance, Snapshot, WorkingMemory, tokio_clock};
+    use armarium_memoryx::{Instance, Memory as _, Snapshot, WorkingMemory, tokio_clock};
     use armarium_values::transforms::Transforms;
     use armarium_values::{Frame, Pose};
     use parking_lot::RwLock;
 
     use super::*;
+    use crate::inputs::pose_value;
 
     fn top_in(remembered: &Remembered<'_>, pose: &Pose) -> Option<Vector3<f64>> {
         let attributes = BTreeMap::from([("pose".to_owned(), Value::Pose(pose.clone()))]);
@@ -182,7 +182,10 @@ mod tests {
         let stands = Pose::new(Frame("world".into()), &Isometry3::translation(0.1, 0.0, 0.0));
         let (there, here) = (Pose::new(Frame("world".into()), &pose), Pose::new(Frame::root(), &pose));
         assert_eq!(top_in(&remembered, &there), None);
+        assert_eq!(remembered.placed(&pose), pose_value(&pose));
         transforms.write().fix(&Frame::root(), &stands).unwrap();
+        let placed = remembered.placed(&Isometry3::identity());
+        assert!(matches!(placed, Value::Pose(pose) if pose.frame.0 == "world" && pose.position[0] == 0.1));
         assert!((top_in(&remembered, &there).unwrap().x - 0.1).abs() < 1e-9);
         assert!((top_in(&remembered, &here).unwrap().x - 0.2).abs() < 1e-9);
         let beside = Surface::under(remembered, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use armarium_host::bench::{Bench, Benched};
 use armarium_memoryx::{Commit, EntityId};
-use armarium_robot::Model;
 use armarium_robot::planning::{KnownBox, PlanError, Planner};
+use armarium_robot::{LinkId, Model};
 use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_states::Equipment;
 use armarium_values::{Pose, Value};
@@ -149,4 +149,29 @@ fn a_way_that_is_shut_is_said_before_anything_moves() {
     let moved = ended.robot.sensed().borrow().position.clone();
     let most = moved.iter().zip(model.start()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(most < 0.01, "{most}");
+}
+
+#[test]
+fn a_posture_before_which_the_guard_would_stop_is_refused_at_once() {
+    let model = Model::shipped("armar3").unwrap();
+    let arm = model.arms().next().unwrap();
+    let ready = model.ready(&arm.name);
+    let under = |depth: f64| KnownBox {
+        name: "board".into(),
+        root_from_box: Isometry3::translation(0.0, 0.0, -depth) * lying(&model, ready, arm.tcp.unwrap()),
+        size: Vector3::new(0.3, 0.3, 0.02),
+    };
+    let nearest = |board: KnownBox| Planner::new(&model, &[board]).nearest(ready).map(|near| near.distance_m);
+    let depth = (1..300).map(|mm| 1e-3 * f64::from(mm)).find(|&depth| nearest(under(depth)) > Some(0.01));
+    let (ended, _) = run("MoveJoints", under(depth.unwrap()), &[("posture", Value::from("wipe"))]);
+    let reason = ended.reason.unwrap_or_default();
+    assert!(reason.contains("the goal is not free") && reason.contains("`board`"), "{reason}");
+    // With enough room it goes there.
+    let (ended, _) = run("MoveJoints", under(depth.unwrap() + 0.02), &[("posture", Value::from("wipe"))]);
+    assert_eq!(ended.outcome, "success", "{:?}", ended.reason);
+}
+
+/// A level frame at a TCP.
+fn lying(model: &Arc<Model>, q: &[f64], tcp: LinkId) -> Isometry3<f64> {
+    Isometry3::from(model.link_pose(q, tcp).translation)
 }

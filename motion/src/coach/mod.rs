@@ -71,7 +71,7 @@ pub struct CoachReport {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum InputKind {
     Push,
     Attract,
     Repel,
@@ -84,7 +84,7 @@ pub struct Coach {
     config: CoachConfig,
     normal: Option<Vector3<f64>>,
     response: PathResponse,
-    event: Option<Kind>,
+    event: Option<InputKind>,
     idle: f64,
     /// Weights, centre and path when the event began.
     weights: Vec<f64>,
@@ -172,10 +172,10 @@ impl Coach {
                 self.rest(dt);
                 return Ok(CoachReport::default());
             }
-            CoachInput::Push { force } => (Kind::Push, force),
-            CoachInput::Attract { hand } => (Kind::Attract, hand),
-            CoachInput::Repel { hand } => (Kind::Repel, hand),
-            CoachInput::Shift { direction } => (Kind::Shift, direction),
+            CoachInput::Push { force } => (InputKind::Push, force),
+            CoachInput::Attract { hand } => (InputKind::Attract, hand),
+            CoachInput::Repel { hand } => (InputKind::Repel, hand),
+            CoachInput::Shift { direction } => (InputKind::Shift, direction),
         };
         vector("coach", 3, given.as_slice())?;
         if self.event != Some(kind) {
@@ -183,10 +183,10 @@ impl Coach {
         }
         self.idle = 0.0;
         match kind {
-            Kind::Push => self.push(dmp, omega * dt, given),
-            Kind::Attract => self.gesture(dmp, dt, omega, given, 1.0),
-            Kind::Repel => self.gesture(dmp, dt, omega, given, -1.0),
-            Kind::Shift => self.shift(dmp, dt, given),
+            InputKind::Push => self.push(dmp, omega * dt, given),
+            InputKind::Attract => self.gesture(dmp, dt, omega, given, 1.0),
+            InputKind::Repel => self.gesture(dmp, dt, omega, given, -1.0),
+            InputKind::Shift => self.shift(dmp, dt, given),
         }
     }
 
@@ -198,7 +198,7 @@ impl Coach {
     }
 
     /// Records the motion at the start of an event, so that the effect can be measured and bounded.
-    fn begin(&mut self, kind: Kind, dmp: &PeriodicDmp) {
+    fn begin(&mut self, kind: InputKind, dmp: &PeriodicDmp) {
         self.event = Some(kind);
         self.hand = None;
         self.addressed = None;

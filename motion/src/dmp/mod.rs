@@ -25,7 +25,7 @@ use crate::error::{MotionError, vector};
 pub use self::learning::TimeSample;
 pub(crate) use self::learning::{CouplingLearner, Cutoff, Ridge, check_time_samples};
 pub use self::transformation::Integrator;
-pub(crate) use self::transformation::{TimeScale, Transformation, Transition, widest_euler_step};
+pub(crate) use self::transformation::{StepMatrix, TimeScale, Transformation, widest_euler_step};
 
 /// A canonical system: the phase of a primitive, which replaces time, and the kernels over it.
 pub(crate) trait Canonical {

@@ -146,7 +146,7 @@ impl Transformation {
         input: impl Fn(usize) -> f64,
     ) {
         let advance = scale.advance(dt);
-        let transition = Transition::new(self.alpha, self.beta, advance);
+        let transition = StepMatrix::new(self.alpha, self.beta, advance);
         let stiffness = self.alpha * self.beta;
         let now = self.y.iter().zip(&self.z).zip(self.goal.iter().zip(&self.perturbation));
         let next = self.next_y.iter_mut().zip(&mut self.next_z);
@@ -214,14 +214,14 @@ pub(crate) fn widest_euler_step(alpha: f64, beta: f64) -> f64 {
 
 /// The exact transition of `(y - rest, z)` over a phase step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Transition {
+pub(crate) struct StepMatrix {
     yy: f64,
     yz: f64,
     zy: f64,
     zz: f64,
 }
 
-impl Transition {
+impl StepMatrix {
     /// `exp(M advance)` of `M = [[0, 1], [-alpha beta, -alpha]]`, in its three cases.
     pub(crate) fn new(alpha: f64, beta: f64, advance: f64) -> Self {
         let half = 0.5 * alpha;

@@ -7,7 +7,7 @@ use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
 use super::PeriodicDmp;
-use crate::dmp::Transition;
+use crate::dmp::StepMatrix;
 use crate::error::{MotionError, finite, within};
 
 /// One period of n degrees of freedom, sampled evenly in the phase: sample `s` is at `2 pi s / samples`.
@@ -110,7 +110,7 @@ impl PeriodicDmp {
 
     fn phase_step(&self, forcing: &[f64], n: usize, d: usize, step: usize, y: f64, z: f64) -> (f64, f64) {
         let fine = forcing.len() / n - 1;
-        let transition = Transition::new(self.config.alpha_z, self.config.beta_z, TAU / fine as f64);
+        let transition = StepMatrix::new(self.config.alpha_z, self.config.beta_z, TAU / fine as f64);
         let mean = 0.5 * (forcing[step * n + d] + forcing[(step + 1) * n + d]);
         let rest = mean / (self.config.alpha_z * self.config.beta_z);
         let (y, z) = transition.apply(y - rest, z);
@@ -124,7 +124,7 @@ impl PeriodicDmp {
         for step in 0..fine {
             (y, z) = self.phase_step(forcing, n, d, step, y, z);
         }
-        let whole = Transition::new(self.config.alpha_z, self.config.beta_z, TAU);
+        let whole = StepMatrix::new(self.config.alpha_z, self.config.beta_z, TAU);
         let (yy, zy) = whole.apply(1.0, 0.0);
         let (yz, zz) = whole.apply(0.0, 1.0);
         let open = Matrix2::new(1.0 - yy, -yz, -zy, 1.0 - zz);

@@ -21,7 +21,7 @@ pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> 
     let mut pairs = Pairs::new();
     match Document::parse(&source.text) {
         Ok(document) if document.root_element().has_tag_name("robot") => {
-            let mut reader = Reader { root: document.root_element(), tree, findings: &mut findings };
+            let mut reader = SrdfReader { root: document.root_element(), tree, findings: &mut findings };
             reader.merge(file);
             pairs = reader.disabled();
         }
@@ -35,13 +35,13 @@ pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> 
     (pairs, findings.list)
 }
 
-struct Reader<'a, 'f> {
+struct SrdfReader<'a, 'f> {
     root: Node<'a, 'a>,
     tree: &'a Tree,
     findings: &'f mut Findings,
 }
 
-impl<'a> Reader<'a, '_> {
+impl<'a> SrdfReader<'a, '_> {
     fn all(&self, name: &'static str) -> Vec<Node<'a, 'a>> {
         self.root.children().filter(|node| node.has_tag_name(name)).collect()
     }

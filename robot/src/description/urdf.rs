@@ -56,7 +56,7 @@ pub(super) fn read(source: &Arc<Source>, meshes: &mut Meshes<'_>) -> (Option<Tre
             return (None, findings.list);
         }
     };
-    let tree = Reader::new(&document, &mut findings, meshes).and_then(Reader::read);
+    let tree = UrdfReader::new(&document, &mut findings, meshes).and_then(UrdfReader::read);
     (tree, findings.list)
 }
 
@@ -92,7 +92,7 @@ fn called(node: Element<'_>) -> String {
 }
 
 /// The URDF tree during the walk.
-struct Reader<'a, 'f, 'm> {
+struct UrdfReader<'a, 'f, 'm> {
     root: Element<'a>,
     meshes: &'f mut Meshes<'m>,
     findings: &'f mut Findings,
@@ -106,7 +106,7 @@ struct Reader<'a, 'f, 'm> {
     assumed: Vec<(String, Span, Vec<String>)>,
 }
 
-impl<'a, 'f, 'm> Reader<'a, 'f, 'm> {
+impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
     /// `None` after a finding that leaves no tree to walk.
     fn new(
         document: &'a Document<'a>,

@@ -92,8 +92,7 @@ impl Clearance {
     /// Finds the pairs that leases allow: a hand and what it holds against what its lease names.
     fn allow(&mut self, table: &LeaseTable) {
         // Before known boxes, hands stop and what they hold: for the rest of an arm a path is planned.
-        let tcps = self.model.arms().filter_map(|arm| arm.tcp);
-        let all: Vec<usize> = tcps.flat_map(|tcp| self.bodies.beyond(&self.model, tcp)).collect();
+        let all = self.bodies.hands(&self.model);
         for (pair, allowed) in self.allowed.iter_mut().enumerate() {
             let [a, b] = self.bodies.pair(pair);
             let apart = |known: usize, other: usize| !self.bodies.is_own(known) && !all.contains(&other);

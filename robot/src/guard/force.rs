@@ -3,12 +3,14 @@
 //! It computes velocities; [`Guard`](crate::Guard) applies them. The compensation itself is in `wrist.rs`. Arms whose
 //! hands hold one load share their faults, and where one yields, the others go with it.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
 use super::GuardConfig;
 use crate::seam::lease::LeaseTable;
 use crate::wrist::WristEstimator;
-use crate::{Fault, Jacobian, Kinematics, LinkId, Model, SensedWrench, Wrench};
+use crate::{Fault, Jacobian, Kinematics, LinkId, Model, SensedWrench, Wrench, WrenchSensor};
 
 /// Once over its limit, the arm yields until the force is less than this share of it.
 const YIELD_UNTIL: f64 = 0.8;
@@ -25,6 +27,7 @@ struct Yielding {
 /// One wrench sensor and its status.
 #[derive(Debug)]
 pub(super) struct Sensor {
+    name: Arc<str>,
     /// The hand beyond it.
     hand: Option<String>,
     /// The limbs that move it, as indices into the lease table.
@@ -40,11 +43,13 @@ pub(super) struct Sensor {
 impl Sensor {
     /// The sensors of a robot, in the order of its description.
     pub(super) fn all(model: &Model) -> Vec<Self> {
-        let sensor = |(index, frame): (usize, LinkId)| {
+        let sensor = |(index, wrench): (usize, &WrenchSensor)| {
+            let frame = wrench.frame;
             let arm = model.arms().find(|arm| arm.wrench == Some(index));
             let moves = |joints: &[usize]| joints.iter().any(|&j| model.moves(j, frame));
             let limbs = model.limbs().values().enumerate();
             Self {
+                name: wrench.name.as_str().into(),
                 hand: arm.and_then(|arm| arm.hand.clone()),
                 carriers: limbs.filter(|(_, limb)| moves(&limb.joints)).map(|(i, _)| i).collect(),
                 estimator: WristEstimator::new(model, frame, arm.and_then(|arm| arm.tcp).unwrap_or(frame)),
@@ -54,7 +59,7 @@ impl Sensor {
                 yielding: None,
             }
         };
-        model.wrenches().iter().map(|wrench| wrench.frame).enumerate().map(sensor).collect()
+        model.wrenches().iter().enumerate().map(sensor).collect()
     }
 
     /// The newest sample.
@@ -96,7 +101,7 @@ impl Sensor {
         if self.frozen {
             self.yielding = None;
             let frozen_ms = stamp_ns.saturating_sub(self.changed_ns) / 1_000_000;
-            self.fail(table, &Fault::FrozenWrench { frozen_ms });
+            self.fail(table, &Fault::FrozenWrench { sensor: Arc::clone(&self.name), frozen_ms });
             return;
         }
         let force_n = self.sensed().external.force.norm();
@@ -110,7 +115,7 @@ impl Sensor {
             None => (force_n > limit_n).then_some(Yielding { limit_n, worst_n: force_n }),
         };
         if let Some(Yielding { limit_n, worst_n: force_n }) = self.yielding {
-            self.fail(table, &Fault::Force { force_n, limit_n });
+            self.fail(table, &Fault::Force { sensor: Arc::clone(&self.name), force_n, limit_n });
         }
     }
 

@@ -4,7 +4,8 @@
 //! The driver of the joints calls [`Guard::step`] with each sample (1 kHz) and applies the [`JointTargets`]. One
 //! step does the following. It compensates the wrench sensors and publishes the sample. It detects faults. It takes the
 //! newest command of each limb, or 0. It scales joints that move a TCP together to the TCP and joint speed limits,
-//! keeping the direction, and limits the acceleration (`bounds.rs`). It stops each joint softly before its limits.
+//! keeping the direction, and limits the acceleration (`bounds.rs`). A differential platform only rolls and turns. It stops each
+//! joint softly before its limits.
 //! It integrates to a setpoint that stays near the measured position. Above the force limit at its sensor, an arm
 //! yields.
 
@@ -17,11 +18,15 @@ mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
+use nalgebra::Vector2;
+
 use self::bounds::VelocityBounds;
 use self::clearance::Clearance;
 use self::force::{Sensor, YieldingArms};
 use crate::seam::lease::{LeaseBoard, LeaseTable};
-use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, RobotLimits, Sensed, Wrench};
+use crate::{
+    Fault, GuardedRobot, JointKind, Kinematics, Model, Platform, PlatformKind, RobotLimits, Sensed, Wrench,
+};
 
 /// The guard's own limits; leases can only tighten them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -174,6 +179,9 @@ impl Guard {
         clearance.update(kinematics, &targets.position);
         bounds.bound(&shared.model, kinematics, clearance, desired);
         bounds.accelerate(&shared.model, desired, &mut targets.velocity, dt);
+        if let Some(platform) = shared.model.platform() {
+            roll_only(platform, &targets.position, &mut targets.velocity);
+        }
         self.integrate(dt);
         self.publish(stamp_ns);
         &self.targets
@@ -277,6 +285,17 @@ impl Guard {
             velocity: self.measured.velocity.clone(),
             wrenches: self.sensors.iter().map(Sensor::sensed).collect(),
         }));
+    }
+}
+
+/// Takes the motion to its side, which its wheels do not allow, from a differential platform.
+fn roll_only(platform: &Platform, position: &[f64], velocity: &mut [f64]) {
+    let [x, y, yaw] = platform.joints;
+    if platform.kind == PlatformKind::Differential {
+        // It looks along its y.
+        let forward = Vector2::new(-position[yaw].sin(), position[yaw].cos());
+        let rolling = forward * forward.dot(&Vector2::new(velocity[x], velocity[y]));
+        (velocity[x], velocity[y]) = (rolling.x, rolling.y);
     }
 }
 

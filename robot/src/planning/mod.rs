@@ -23,6 +23,8 @@ pub use crate::bodies::KnownBox;
 const CLEARANCE: f64 = KEPT + 0.005;
 /// Followed distances may be too small by this, m.
 const TIGHTNESS: f64 = 0.002;
+/// Nearer than this to another one, m, no body rests that the guard stops: the last of the way to its bound takes without end.
+const STOPS: f64 = KEPT + TIGHTNESS;
 /// Shortest way of a body between two checks, m.
 const FINEST: f64 = 0.003;
 /// Distance of planned positions from joint limits, rad (m): more than the guard's.
@@ -90,6 +92,8 @@ pub struct Planner {
     distances: Distances,
     /// The distance that each pair has to keep, m.
     required: Vec<f64>,
+    /// The distance that each pair has to have at a goal, m.
+    at_goal: Vec<f64>,
     checks: usize,
 }
 
@@ -103,15 +107,35 @@ impl Planner {
     pub fn carrying(model: &Arc<Model>, loads: &BTreeMap<String, Load>, boxes: &[KnownBox]) -> Self {
         let bodies = Arc::new(Bodies::new(model).with(model, loads, boxes));
         let levers = levers(model, &bodies);
+        let own = |pair: usize| bodies.pair(pair).iter().all(|&body| bodies.is_own(body));
         Self {
             distances: Distances::new(&bodies),
             required: vec![CLEARANCE; bodies.pairs().count()],
+            at_goal: (0..bodies.pairs().count()).map(|pair| if own(pair) { STOPS } else { 0.0 }).collect(),
             kinematics: Kinematics::new(model),
             model: Arc::clone(model),
             levers,
             bodies,
             checks: 0,
         }
+    }
+
+    /// The same, where the guard stops hands, and what they hold, before the boxes of these names: of those they keep at least 20 mm, and 22 mm at a goal,
+    /// or what they have at the start where that is less.
+    #[must_use]
+    pub fn stopped_before(mut self, places: &[String]) -> Self {
+        let hands = self.bodies.hands(&self.model);
+        for (pair, at_goal) in self.at_goal.iter_mut().enumerate() {
+            let [a, b] = self.bodies.pair(pair);
+            let stops = |hand: usize, known: usize| {
+                let name = || self.bodies.name(&self.model, known);
+                hands.contains(&hand) && !self.bodies.is_own(known) && places.iter().any(|p| p == name())
+            };
+            if stops(a, b) || stops(b, a) {
+                *at_goal = STOPS;
+            }
+        }
+        self
     }
 
     /// The two bodies that are nearest to each other with all joints at `q`, rad (m), if any are within 0.3 m. Pairs that touch
@@ -185,17 +209,19 @@ impl Planner {
     /// Sets the distances to keep between a start and a goal.
     fn require(&mut self, [from, goal]: [&[f64]; 2]) -> Result<(), PlanError> {
         self.required.fill(CLEARANCE);
-        for q in [from, goal] {
-            self.look(q);
-            for (pair, near) in self.distances.near(CLEARANCE + TIGHTNESS) {
-                self.required[pair] = self.required[pair].min(near.distance - TIGHTNESS);
-            }
+        let mut least = self.at_goal.clone();
+        self.look(from);
+        for (pair, near) in self.distances.near(CLEARANCE + TIGHTNESS) {
+            self.required[pair] = near.distance - TIGHTNESS;
+            least[pair] = least[pair].min(near.distance - TIGHTNESS);
         }
-        let refused = |&(pair, near): &(usize, crate::bodies::Near)| {
-            let own = self.bodies.pair(pair).iter().all(|&body| self.bodies.is_own(body));
-            near.distance < if own { KEPT } else { 0.0 }
-        };
-        match self.distances.near(KEPT).find(refused) {
+        self.look(goal);
+        for (pair, near) in self.distances.near(CLEARANCE + TIGHTNESS) {
+            self.required[pair] =
+                self.required[pair].min(near.distance - TIGHTNESS).max(least[pair].min(KEPT));
+        }
+        let refused = |&(pair, near): &(usize, crate::bodies::Near)| near.distance < least[pair].max(0.0);
+        match self.distances.near(STOPS).find(refused) {
             Some((pair, near)) => Err(PlanError::GoalBlocked(self.nearness(pair, near.distance))),
             None => Ok(()),
         }

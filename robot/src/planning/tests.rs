@@ -120,6 +120,20 @@ fn a_start_or_a_goal_nearer_than_planned_ones_may_be_left_and_reached() {
 }
 
 #[test]
+fn a_goal_before_which_the_guard_would_stop_is_refused() {
+    let beside = |gap: f64| [-0.05 - RADIUS - gap, 0.0];
+    let mut planner = Planner::new(&slider(), &[wall(-0.2, 0.2)]);
+    assert!(planner.plan(&[0, 1], &LEFT, &beside(0.01), 1).is_ok(), "it may be touched");
+    planner = planner.stopped_before(&["floor".to_owned(), "wall".to_owned()]);
+    let refused = planner.plan(&[0, 1], &LEFT, &beside(0.01), 1);
+    assert!(matches!(refused, Err(PlanError::GoalBlocked(_))), "{refused:?}");
+    assert!(planner.plan(&[0, 1], &LEFT, &beside(0.023), 1).is_ok());
+    // What is nearer at the start is left, and may go along the wall.
+    assert!(planner.plan(&[0, 1], &beside(0.01), &LEFT, 1).is_ok());
+    assert!(planner.plan(&[0, 1], &beside(0.01), &[beside(0.01)[0], 0.1], 1).is_ok());
+}
+
+#[test]
 fn the_same_question_has_the_same_answer() {
     let walls = [wall(-1.5, 0.5), wall(0.75, 1.5)];
     assert_eq!(slide(&walls, RIGHT, 3), slide(&walls, RIGHT, 3));

@@ -11,7 +11,7 @@ use armarium_values::{Type, Value};
 
 use super::catalog::{ChannelSchema, Registry};
 use super::channels::channels;
-use super::expressions::{self, Names, Scope, Site};
+use super::expressions::{self, ChartNames, Scope, Site};
 use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
 use super::lint::lint;
@@ -21,7 +21,7 @@ use super::names::unknown_names;
 use super::suspicious::suspicious;
 use super::symbols::{Collector, Section, SkillPart, Symbol};
 use crate::program::{
-    Binding, Code, Entry, Kind, Place, Program, State, StateId, Symbols, Term, Transition, Watch,
+    Binding, Code, Entry, Kind, Program, SourcePlace, State, StateId, Symbols, Term, Transition, Watch,
 };
 use crate::skill::Parameter;
 
@@ -83,13 +83,13 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
 /// The findings are in the order of their places.
 fn explain(findings: &mut Vec<Finding>) {
     let place = |finding: &Finding| (finding.source.path.clone(), finding.span.start);
-    let seems = |finding: &Finding| finding.code == code::SUSPICIOUS && finding.remedy.is_some();
+    let seems = |finding: &Finding| finding.code == code::SUSPICIOUS;
     let meant: BTreeMap<_, Finding> =
         findings.iter().filter(|f| seems(f)).map(|f| (place(f), f.clone())).collect();
     let mut explained = BTreeSet::new();
     for error in findings.iter_mut().filter(|f| matches!(f.code, code::TYPE | code::REFERENCE)) {
         let at = place(error);
-        if let Some(meant) = meant.get(&at) {
+        if let Some(meant) = meant.get(&at).filter(|m| m.remedy.is_some() || error.code == code::REFERENCE) {
             (error.help, error.remedy) = (meant.help.clone(), meant.remedy.clone());
             explained.insert(at);
         }
@@ -108,7 +108,7 @@ pub(super) fn compile(
     let event_types = event_types(library);
     let mut compiler = Compiler {
         tree,
-        names: Names::new(tree, schema, collector),
+        names: ChartNames::new(tree, schema, collector),
         event_types: &event_types,
         findings: Vec::new(),
         symbols: Symbols::default(),
@@ -145,7 +145,7 @@ pub(super) fn compile(
 /// What compiling states works with.
 pub(super) struct Compiler<'t> {
     pub(super) tree: &'t Tree<'t>,
-    pub(super) names: Names<'t>,
+    pub(super) names: ChartNames<'t>,
     /// What comes with the events that declare it.
     pub(super) event_types: &'t BTreeMap<String, Type>,
     pub(super) findings: Vec<Finding>,
@@ -230,7 +230,7 @@ impl<'t> Compiler<'t> {
             unbreakable: model.unbreakable,
             outputs: flat.outputs.iter().map(|(name, slot, _)| (name.clone(), *slot)).collect(),
             done: self.symbols.intern(&format!("done.state.{}", flat.name())),
-            place: Place { source: flat.source, byte: number(model.name.span.start) },
+            place: SourcePlace { source: flat.source, byte: number(model.name.span.start) },
         };
         if id == 0 {
             state.kind = Kind::Chart { instance: 0 };

@@ -14,7 +14,7 @@ use super::catalog::ChannelSchema;
 use super::flatten::{Inside, Tree, number};
 use super::literals::fitting;
 use super::symbols::{Collector, Section, SkillPart, Symbol, parts};
-use crate::program::{Code, Place, StateId, Term};
+use crate::program::{Code, SourcePlace, StateId, Term};
 
 /// Mistakes for which the nearest name is looked for.
 pub(super) const MAX_HELP: usize = 200;
@@ -23,7 +23,7 @@ pub(super) const MAX_NAMES: usize = 1000;
 
 /// Everything that names can stand for.
 #[derive(Debug)]
-pub(super) struct Names<'c> {
+pub(super) struct ChartNames<'c> {
     pub(super) tree: &'c Tree<'c>,
     schema: &'c ChannelSchema,
     /// The channels that expressions read so far; their numbers are their places.
@@ -34,7 +34,7 @@ pub(super) struct Names<'c> {
     collector: Option<&'c Collector>,
 }
 
-impl<'c> Names<'c> {
+impl<'c> ChartNames<'c> {
     pub(super) fn new(
         tree: &'c Tree<'c>,
         schema: &'c ChannelSchema,
@@ -126,21 +126,21 @@ pub(super) struct Site<'t> {
 
 impl Site<'_> {
     /// `span` in the site's file.
-    pub(super) fn place(&self, span: Span) -> Place {
-        Place { source: self.source, byte: number(span.start) }
+    pub(super) fn place(&self, span: Span) -> SourcePlace {
+        SourcePlace { source: self.source, byte: number(span.start) }
     }
 }
 
 /// The scope of one expression.
 pub(super) struct Scope<'s, 'c> {
-    names: &'s Names<'c>,
+    names: &'s ChartNames<'c>,
     site: &'s Site<'s>,
     /// What the names of the expression stand for, each with its place in the expression.
     found: RefCell<Vec<(usize, usize, Symbol)>>,
 }
 
 impl<'s, 'c> Scope<'s, 'c> {
-    pub(super) fn new(names: &'s Names<'c>, site: &'s Site<'s>) -> Self {
+    pub(super) fn new(names: &'s ChartNames<'c>, site: &'s Site<'s>) -> Self {
         Self { names, site, found: RefCell::default() }
     }
 }

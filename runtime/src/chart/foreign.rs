@@ -1,7 +1,7 @@
 //! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
 
-use armarium_source::FormKey;
 use armarium_source::yaml::{Node, Yaml};
+use armarium_source::{Edit, FormKey, Remedy, Source, Span};
 
 /// A group of words and what they are here.
 type Words = (&'static [&'static str], &'static str);
@@ -179,4 +179,49 @@ pub(super) fn whole(has: impl Fn(&str) -> bool) -> Option<&'static str> {
     } else {
         None
     }
+}
+
+/// Keys by which states in a list are named.
+const NAMES: [&str; 3] = ["name", "id", "state"];
+
+/// States of a list under their names; none where it is not known how, as in a list in brackets.
+pub(super) fn by_name(source: &Source, items: &[Node]) -> Option<Remedy> {
+    let text = source.text.as_str();
+    let line_of = |at: usize| text[..at].rfind('\n').map_or(0, |newline| newline + 1);
+    let mut edits = Vec::new();
+    for item in items {
+        let line = line_of(item.span.start);
+        let indent = text[line..].len() - text[line..].trim_start_matches(' ').len();
+        let dash = line + indent;
+        let after = text.get(dash..)?.strip_prefix("- ")?.trim_start();
+        let (to, written) = match &item.value {
+            Yaml::String(name) => (item.span.end, format!("{name}: {{}}")),
+            Yaml::Map(entries) => {
+                let (key, value) = entries.first()?;
+                let Yaml::String(name) = &value.value else { return None };
+                let next = entries.get(1).map(|(next, _)| next.span.start);
+                if !NAMES.contains(&key.text.as_str()) {
+                    return None;
+                }
+                match (after.starts_with('{'), next) {
+                    (true, next) => (next.unwrap_or(value.span.end), format!("{name}: {{")),
+                    (false, Some(_)) => (value.span.end, format!("{name}:")),
+                    (false, None) => (value.span.end, format!("{name}: {{}}")),
+                }
+            }
+            _ => return None,
+        };
+        edits.push(Edit { span: Span { start: dash, end: to }, text: written });
+    }
+    // A list may stand as far left as its key; a map may not.
+    let (first, last) = (line_of(items.first()?.span.start), items.last()?.span.end);
+    let above = text[..first].lines().rfind(|line| line.trim_start().starts_with("states"))?;
+    let indent = |line: &str| line.len() - line.trim_start().len();
+    if indent(above) == indent(&text[first..]) {
+        let lines = text[first..last].match_indices('\n').map(|(at, _)| first + at + 1);
+        let starts = [first].into_iter().chain(lines);
+        edits.extend(starts.map(|at| Edit { span: Span { start: at, end: at }, text: "  ".to_owned() }));
+        edits.sort_by_key(|edit| (edit.span.start, edit.span.end));
+    }
+    Some(Remedy::Replace(edits))
 }

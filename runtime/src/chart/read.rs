@@ -86,11 +86,11 @@ fn has_form(text: &str) -> bool {
 
 /// Reads a chart; what is wrong is added to `findings`, and what can be read is returned.
 pub(crate) fn chart(node: &Node, findings: &mut Findings) -> Option<Chart> {
-    let mut reader = Reader { findings, types: BTreeMap::new(), type_uses: Vec::new() };
+    let mut reader = ChartReader { findings, types: BTreeMap::new(), type_uses: Vec::new() };
     reader.chart(node)
 }
 
-pub(super) struct Reader<'f> {
+pub(super) struct ChartReader<'f> {
     pub(super) findings: &'f mut Findings,
     types: BTreeMap<String, Type>,
     /// Where those types are named.
@@ -106,7 +106,7 @@ pub(super) fn only_known(entries: &Entries, keys: &[FormKey]) -> bool {
     entries.iter().all(|(entry, _)| keys.iter().any(|key| key.name == entry.text))
 }
 
-impl Reader<'_> {
+impl ChartReader<'_> {
     pub(super) fn error(&mut self, code: &'static str, span: Span, message: impl Into<String>) {
         self.findings.error(code, span, message);
     }

@@ -6,7 +6,7 @@ use armarium_source::yaml::{Entries, Named, Node, Yaml};
 use armarium_source::{Edit, Remedy, Span, code};
 
 use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
-use super::read::{MAX_LEVELS, Reader, get, only_known};
+use super::read::{ChartReader, MAX_LEVELS, get, only_known};
 use super::{foreign, forms};
 
 /// Where a failure leads, or else the first transition.
@@ -26,7 +26,7 @@ fn actions() -> Vec<&'static str> {
     forms::ACTIONS.iter().map(|key| key.name).collect()
 }
 
-impl Reader<'_> {
+impl ChartReader<'_> {
     pub(super) fn state(
         &mut self,
         name: Named,
@@ -211,9 +211,12 @@ impl Reader<'_> {
 
     fn states(&mut self, node: &Node, level: usize) -> Vec<State> {
         let mut states = Vec::new();
-        if let Yaml::List(_) = &node.value {
+        if let Yaml::List(items) = &node.value {
             let help = "write each as `Name: {skill: ...}`, without `-`";
             self.error_help(code::FORM, node.span, "states stand under their names, not in a list", help);
+            if let Some(remedy) = foreign::by_name(&self.findings.source, items) {
+                self.findings.remedy(remedy);
+            }
             return states;
         }
         let entries = self.entries(node);

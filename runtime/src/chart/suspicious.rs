@@ -132,6 +132,11 @@ impl Suspects<'_, '_> {
                 let message = format!("the region `{name}` never ends, so that {what} never comes");
                 let help = "give the region a final state, or leave the parallel state by another event";
                 self.add(Severity::Warning, code::ENDLESS, region, message, help);
+                // Of several states to which nothing follows, it is not known which is meant.
+                let mut last = self.ids().filter(|id| self.can_be_final(*id, region));
+                if let (Some(last), None) = (last.next(), last.next()) {
+                    self.end_at(last);
+                }
             }
         }
     }
@@ -184,7 +189,34 @@ impl Suspects<'_, '_> {
                 let message = format!("{what}: a run that comes there stays for ever");
                 let help = "give it a transition, or make it a `final` state";
                 self.add(Severity::Warning, code::ENDLESS, id, message, help);
+                if self.can_be_final(id, id) {
+                    self.end_at(id);
+                }
             }
+        }
+    }
+
+    /// Whether a state in a region only waits, without a way out, and in the file of that region.
+    fn can_be_final(&self, id: StateId, region: StateId) -> bool {
+        let (flat, state) = (self.tree.state(id), self.program.state(id));
+        let model = flat.model;
+        let acts = !(model.enter.is_empty() && model.exit.is_empty() && model.watch.is_empty());
+        matches!(state.kind, Kind::Atomic)
+            && !acts
+            && model.transitions.is_empty()
+            && model.always.is_empty()
+            && model.after.is_empty()
+            && flat.source == self.tree.state(region).source
+            && (id == region || state.parent == Some(region))
+    }
+
+    /// The finding that was added last is put right by a state that is final.
+    fn end_at(&mut self, id: StateId) {
+        let owner = Some(self.tree.state(id).model.name.span);
+        let remedy =
+            Remedy::Add { owner, sections: Vec::new(), key: "final".into(), value: "success".into() };
+        if let Some(finding) = self.findings.last_mut() {
+            finding.remedy = Some(remedy);
         }
     }
 

@@ -8,7 +8,7 @@ use armarium_values::expr::{MAX_PARTS, MAX_TEXT};
 use super::event::{Event, Origin};
 use super::state::{RunContext, TimerUse, Turn};
 use super::{Effect, Engine, TraceItem};
-use crate::program::{Action, ERROR_EXECUTION, Place, Program, Send, StateId, Term};
+use crate::program::{Action, ERROR_EXECUTION, Program, Send, SourcePlace, StateId, Term};
 
 /// Why a value could not be had while a chart runs.
 #[derive(Debug)]
@@ -251,7 +251,7 @@ impl Engine {
     }
 
     /// Raises `error.execution` for a failed expression, unless that event is the one being handled.
-    pub(super) fn error(&mut self, state: StateId, message: &str, place: Place, turn: &mut Turn<'_>) {
+    pub(super) fn error(&mut self, state: StateId, message: &str, place: SourcePlace, turn: &mut Turn<'_>) {
         let place = turn.program.place(place);
         self.error_at(state, message, place, turn);
     }

@@ -33,7 +33,7 @@ use crate::skill::InputError;
 use crate::trace::TraceItem;
 use event::{Event, Origin};
 use inputs::inputs;
-use state::{Pending, Run, RunContext, Timer, Turn, Variables};
+use state::{Pending, RunContext, StateRun, Timer, Turn, Variables};
 
 /// A run fails after this many microsteps without rest.
 pub const MAX_MICROSTEPS: u32 = 1000;
@@ -50,7 +50,7 @@ pub const MAX_HELD: usize = 64;
 pub struct Engine {
     program: Arc<Program>,
     store: Variables,
-    runs: Vec<Run>,
+    runs: Vec<StateRun>,
     /// Active states, in the file's order.
     configuration: Vec<StateId>,
     /// The states that each history remembers.
@@ -109,7 +109,7 @@ impl Engine {
         for variable in &program.instances[0].inputs {
             data[variable.slot as usize] = inputs.remove(&variable.declaration.name);
         }
-        let runs = vec![Run::default(); program.states.len()];
+        let runs = vec![StateRun::default(); program.states.len()];
         Ok(Self {
             program,
             store: Variables { data, ..Variables::default() },

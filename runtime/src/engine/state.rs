@@ -26,7 +26,7 @@ pub(super) enum SkillRun {
 
 /// The status of a state; reset when the state is entered.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Run {
+pub(super) struct StateRun {
     /// Number of this entry, counted over all states. It distinguishes one stay in a state from another.
     pub(super) entry: u64,
     /// Data that few states need.
@@ -132,7 +132,7 @@ impl Variables {
 pub(super) struct RunContext<'v> {
     pub(super) program: &'v Program,
     pub(super) store: &'v Variables,
-    pub(super) runs: &'v [Run],
+    pub(super) runs: &'v [StateRun],
     pub(super) sensors: &'v dyn Sensors,
 }
 

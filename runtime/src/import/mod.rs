@@ -52,7 +52,7 @@ pub struct ImportError {
 pub fn scxml(text: &str, name: &str) -> Result<Imported, Vec<ImportError>> {
     let mut errors = Vec::new();
     let result = read::document(text, &mut errors).and_then(|document| {
-        let names = names::Names::of(&document, name);
+        let names = names::ScxmlNames::of(&document, name);
         let yaml = write::chart(&document, &names, &mut errors);
         (errors.is_empty()).then(|| Imported { yaml, renamed: names.renamed(&document) })
     });

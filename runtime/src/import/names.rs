@@ -2,17 +2,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::read::{Document, Index, Kind};
+use super::read::{Document, Index, ScxmlKind};
 use crate::chart::is_name;
 
 /// The names of a document's states.
-pub(super) struct Names {
+pub(super) struct ScxmlNames {
     pub(super) chart: String,
     names: Vec<String>,
     by_id: BTreeMap<String, Index>,
 }
 
-impl Names {
+impl ScxmlNames {
     /// Names for all states; `fallback` for the chart where the document has no name.
     pub(super) fn of(document: &Document, fallback: &str) -> Self {
         let mut taken: BTreeSet<String> = BTreeSet::new();
@@ -75,12 +75,12 @@ pub(super) fn ancestors(document: &Document, state: Index) -> impl Iterator<Item
     std::iter::successors(Some(state), |s| document.states[*s].parent)
 }
 
-fn word(kind: Kind) -> &'static str {
+fn word(kind: ScxmlKind) -> &'static str {
     match kind {
-        Kind::State => "state",
-        Kind::Parallel => "parallel",
-        Kind::Final => "final",
-        Kind::History { .. } => "history",
+        ScxmlKind::State => "state",
+        ScxmlKind::Parallel => "parallel",
+        ScxmlKind::Final => "final",
+        ScxmlKind::History { .. } => "history",
     }
 }
 

@@ -34,7 +34,7 @@ pub struct EventId(pub(crate) Symbol);
 
 /// Where something was written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct SourcePlace {
     pub(crate) source: u32,
     pub(crate) byte: u32,
 }
@@ -148,7 +148,7 @@ pub(crate) struct State {
     pub(crate) outputs: Vec<(String, u32)>,
     /// The event `done.state.NAME`.
     pub(crate) done: Symbol,
-    pub(crate) place: Place,
+    pub(crate) place: SourcePlace,
 }
 
 /// The events that a transition takes.
@@ -207,7 +207,7 @@ pub(crate) struct Watch {
 #[derive(Clone, Debug)]
 pub(crate) struct Code {
     pub(crate) expr: Expr,
-    pub(crate) place: Place,
+    pub(crate) place: SourcePlace,
 }
 
 /// A value to compute: a literal, an expression, or a text, list or map that contains expressions.
@@ -225,18 +225,18 @@ pub(crate) struct Binding {
     /// The parameter that the value is for.
     pub(crate) parameter: Parameter,
     pub(crate) term: Term,
-    pub(crate) place: Place,
+    pub(crate) place: SourcePlace,
 }
 
 #[derive(Debug)]
 pub(crate) enum Action {
-    Assign { slot: u32, declaration: Arc<Parameter>, variable: String, term: Term, place: Place },
-    Raise { event: Symbol, data: Option<Term>, place: Place },
+    Assign { slot: u32, declaration: Arc<Parameter>, variable: String, term: Term, place: SourcePlace },
+    Raise { event: Symbol, data: Option<Term>, place: SourcePlace },
     Send(Box<Send>),
     Cancel { id: String },
     Log { term: Term },
     If { condition: Code, then: Vec<Action>, otherwise: Vec<Action> },
-    Foreach { items: Term, slot: u32, body: Vec<Action>, place: Place },
+    Foreach { items: Term, slot: u32, body: Vec<Action>, place: SourcePlace },
 }
 
 /// The action `send`.
@@ -247,7 +247,7 @@ pub(crate) struct Send {
     pub(crate) data: Option<Term>,
     pub(crate) delay: Option<Term>,
     pub(crate) id: Option<String>,
-    pub(crate) place: Place,
+    pub(crate) place: SourcePlace,
 }
 
 /// How many events a message names.
@@ -451,7 +451,7 @@ impl Program {
         (outer..=self.tables.last(outer)).contains(&inner)
     }
 
-    pub(crate) fn place(&self, place: Place) -> String {
+    pub(crate) fn place(&self, place: SourcePlace) -> String {
         self.sources.get(place.source as usize).map_or_else(String::new, |s| s.place(place.byte as usize))
     }
 

@@ -68,7 +68,7 @@ type Span = (u32, u32);
 
 /// The data of one state for selecting, leaving and entering.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Node {
+pub(crate) struct StateNode {
     parent: StateId,
     last: StateId,
     /// Transitions by exact event, in [`Tables::on`].
@@ -102,7 +102,7 @@ pub(crate) struct Jump {
 /// See the module.
 #[derive(Debug, Default)]
 pub(crate) struct Tables {
-    nodes: Vec<Node>,
+    nodes: Vec<StateNode>,
     /// Event and transition number, sorted by both within a state.
     on: Vec<(Symbol, u32)>,
     lists: Vec<u32>,
@@ -138,7 +138,7 @@ impl Tables {
             tables.lists.extend(&state.always);
             let plain = plain(state);
             let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-            tables.nodes.push(Node {
+            tables.nodes.push(StateNode {
                 parent: state.parent.unwrap_or(StateId::MAX),
                 last: state.last,
                 on: (number(on_start), number(tables.on.len())),
@@ -173,7 +173,7 @@ impl Tables {
     }
 
     #[inline]
-    pub(crate) fn node(&self, state: StateId) -> &Node {
+    pub(crate) fn node(&self, state: StateId) -> &StateNode {
         &self.nodes[state as usize]
     }
 

@@ -18,9 +18,11 @@ fn findings(text: &str) -> Vec<(usize, usize, &'static str)> {
 }
 
 #[test]
-fn a_file_of_comments_is_the_default_world_and_an_empty_one_is_a_mistake() {
-    assert_eq!(parse(Path::new("w"), "# nothing\n").unwrap(), World::default());
-    assert!(parse(Path::new("w"), " \n").unwrap_err()[0].message.contains("the file is empty"));
+fn an_empty_file_and_one_of_comments_are_mistakes() {
+    for text in [" \n", "# nothing\n", "---\n"] {
+        let found = parse(Path::new("w"), text).unwrap_err();
+        assert!(found[0].message.contains("the file is empty"), "{text:?}: {}", found[0].message);
+    }
     let chart = parse(Path::new("w"), "statechart: T\ninitial: A\nstates: {A: {}}\n").unwrap_err();
     assert_eq!((chart.len(), chart[0].message.as_str()), (1, "this is a chart, where a world is needed"));
 }

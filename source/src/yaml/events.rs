@@ -42,7 +42,7 @@ pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Refusal
     let mut options = granit_parser::Options::default();
     options.emit_comments = false;
     let parser = Parser::new_from_str_with_options(text, options);
-    let mut reader = Reader {
+    let mut reader = TreeReader {
         text,
         parser,
         anchors: BTreeMap::new(),
@@ -67,14 +67,14 @@ pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Refusal
                     tree = Some(reader.node(event, at, depth)?);
                 }
             }
-            _ => return Err(Reader::unexpected(at)),
+            _ => return Err(TreeReader::unexpected(at)),
         }
     }
     let root = tree.unwrap_or(Node { span: everything, value: Yaml::Null });
     Ok((root, reader.divisible))
 }
 
-struct Reader<'t> {
+struct TreeReader<'t> {
     text: &'t str,
     parser: Parser<'t, StrInput<'t>>,
     /// What anchors stand for, once it is complete.
@@ -88,7 +88,7 @@ struct Reader<'t> {
     divisible: bool,
 }
 
-impl<'t> Reader<'t> {
+impl<'t> TreeReader<'t> {
     fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Box<Refusal>> {
         match self.parser.next_event() {
             None => Ok(None),
@@ -206,6 +206,7 @@ impl<'t> Reader<'t> {
                 self.with_its_value_in_it(&key)?;
             }
             let node = self.node(event, at, depth + 1)?;
+            self.with_a_brace_in_it(&key, &node)?;
             self.entries.push((key, node));
         }
         let mut entries: Vec<_> = self.entries.drain(first..).collect();
@@ -241,6 +242,26 @@ impl<'t> Reader<'t> {
             Some(text) => Ok(Named { span: at, text }),
             None => refuse(at, "a key is a name", "a list or a map cannot be a key"),
         }
+    }
+
+    /// Refuses a key without `:` before a map in braces, which swallowed the brace: `A {skill: Act}`.
+    fn with_a_brace_in_it(&self, key: &Named, node: &Node) -> Result<(), Box<Refusal>> {
+        let written = self.text.get(key.span.start..key.span.end).unwrap_or("");
+        let Some((name, inside)) = written.split_once(" {").filter(|_| written == key.text) else {
+            return Ok(());
+        };
+        let Yaml::String(value) = &node.value else { return Ok(()) };
+        if !value.ends_with('}') || name.contains(['"', '\'', '$']) {
+            return Ok(());
+        }
+        let end = key.span.start + name.trim_end().len();
+        let name = name.trim();
+        Err(Box::new(Refusal::Content {
+            at: Span { start: key.span.start, end },
+            message: format!("a `:` is missing after `{name}`"),
+            help: format!("write `{name}: {{{inside}: {value}`"),
+            remedy: Some(Remedy::replace(Span { start: end, end }, ":")),
+        }))
     }
 
     /// Refuses a key between brackets without `:` that swallowed its value: `{final success}`, `{posture:home}`.

@@ -63,7 +63,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             && let Some(first) = localizer.localize(&frame)
         {
             let middle = Point3::from(first.root_from_object.translation.vector);
-            let memory = (&*equipment.memory, equipment.agent.as_str());
+            let memory = (equipment.remembered(), equipment.agent.as_str());
             let camera = equipment.images.calibration().camera;
             if let Some(table) = Surface::see(memory, camera, &frame, (&middle, class.size[2])).await? {
                 tilt = table.rotation();
@@ -75,8 +75,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let pose = median(&sights, &tilt);
     let stamp_ns = senses.newest().stamp_ns;
     let id = EntityId::new("ObjectInstances", &equipment.agent, name).map_err(failed)?;
-    let attributes =
-        BTreeMap::from([("class".to_owned(), Value::from(name)), ("pose".to_owned(), pose_value(&pose))]);
+    let placed = equipment.remembered().placed(&pose);
+    let attributes = BTreeMap::from([("class".to_owned(), Value::from(name)), ("pose".to_owned(), placed)]);
     let confidence = sights[0].visible.clamp(0.0, 1.0);
     let commit = Commit::new(id.clone(), stamp_ns, attributes).with_confidence(confidence);
     equipment.memory.commit(vec![commit]).await.map_err(failed)?;

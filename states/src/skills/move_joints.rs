@@ -38,7 +38,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let model = equipment.robot.model();
     let mut senses = Senses::new(&*equipment.robot, &context);
     let now = senses.newest().position.clone();
-    let around = Around::of(&equipment, arm, &leases.joints, &now, None).await?;
+    let around = Around::of(&equipment, arm, &leases, &now, None).await?;
     let path = around.way_to_joints(now, goal).await?;
     follow(&mut senses, model, &leases.joints, &path, (tolerance, timeout), |velocities| {
         leases.command(velocities)

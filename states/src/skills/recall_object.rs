@@ -13,8 +13,9 @@ use nalgebra::Isometry3;
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::inputs::{as_pose, pose_value, reference};
+use crate::inputs::{pose_value, reference};
 use crate::motions::failed;
+use crate::places::Remembered;
 
 /// Interval of the memory queries, s.
 const POLL_INTERVAL: f64 = 0.1;
@@ -47,7 +48,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         asked = waited;
         let query = Query::latest(Pattern::segment("ObjectInstances"));
         let known = equipment.memory.query(&query).await.map_err(failed)?;
-        match newest(&known, class, sample.stamp_ns, max_age) {
+        match newest(equipment.remembered(), &known, class, sample.stamp_ns, max_age) {
             Ok((snapshot, pose)) => {
                 return Ok(Outcome::success()
                     .with("object", reference("Object", &snapshot.id))
@@ -98,6 +99,7 @@ fn seen_by(snapshot: &Snapshot) -> Option<&str> {
 
 /// The snapshot with the newest reference time among the objects of a class, at `now_ns`, and its pose in the root frame.
 fn newest<'k>(
+    remembered: Remembered<'_>,
     known: &'k [Arc<Snapshot>],
     class: &str,
     now_ns: u64,
@@ -113,14 +115,16 @@ fn newest<'k>(
     if age_s > max_age {
         return Err(Unknown::Old { age_s, id });
     }
-    let pose = newest.attribute("pose").and_then(as_pose).ok_or(Unknown::Elsewhere { id })?;
+    let pose = remembered.root_pose(newest).ok_or(Unknown::Elsewhere { id })?;
     Ok((newest, pose))
 }
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Instance, Snapshot};
-    use armarium_values::Pose;
+    use armarium_memoryx::{Instance, Snapshot, WORLD, WorkingMemory, tokio_clock};
+    use armarium_values::transforms::Transforms;
+    use armarium_values::{Frame, Pose};
+    use parking_lot::RwLock;
 
     use super::*;
 
@@ -149,8 +153,29 @@ mod tests {
         })
     }
 
-    #[test]
-    fn whoever_saw_it_last_is_believed() {
+    /// [`newest`] of a robot that stands 0.3 m to the right of the world's origin.
+    fn newest<'k>(
+        known: &'k [Arc<Snapshot>],
+        class: &str,
+        now_ns: u64,
+        max_age: f64,
+    ) -> Result<(&'k Snapshot, Isometry3<f64>), Unknown> {
+        let mut transforms = Transforms::new();
+        let stands = Pose::new(WORLD.into(), &Isometry3::translation(0.3, 0.0, 0.0));
+        transforms.fix(&Frame::root(), &stands).unwrap();
+        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(transforms));
+        super::newest(Remembered { memory: &memory, transforms: &transforms }, known, class, now_ns, max_age)
+    }
+
+    #[tokio::test]
+    async fn a_pose_in_the_world_is_one_in_the_root_frame_where_it_is_known_where_the_robot_stands() {
+        let known = [sponge("alice.alice", 7, WORLD, 0.5, false)];
+        let (_, pose) = newest(&known, "sponge", 9 * SECOND, 5.0).unwrap();
+        assert!((pose.translation.x - 0.2).abs() < 1e-12);
+    }
+
+    #[tokio::test]
+    async fn whoever_saw_it_last_is_believed() {
         let known = [sponge("alice.alice", 7, "root", 0.2, false), sponge("bob", 3, "root", 0.1, false)];
         let (found, pose) = newest(&known, "sponge", 9 * SECOND, 5.0).unwrap();
         assert_eq!((seen_by(found), pose.translation.x), (Some("alice"), 0.2));
@@ -158,8 +183,8 @@ mod tests {
         assert_eq!(seen_by(found), None);
     }
 
-    #[test]
-    fn what_does_not_help_is_said() {
+    #[tokio::test]
+    async fn what_does_not_help_is_said() {
         let unknown =
             |known: &[Arc<Snapshot>], class: &str| newest(known, class, 20 * SECOND, 5.0).unwrap_err();
         let old = sponge("bob", 3, "root", 0.1, false);

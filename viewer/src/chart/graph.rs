@@ -13,8 +13,9 @@ const NOTE: f64 = 250.0;
 /// A final state that so many states go to gets no arrows: each of them names it instead.
 const COMMON: usize = 3;
 /// A level with more states is drawn in columns of `COLUMN` states, in the order of the file. Arrows lead within a column; a
-/// state names those of other columns that it goes to.
+/// state names those of other columns that it goes to. A level that is drawn inside of others has room for fewer.
 const CROWDED: usize = 24;
+const CROWDED_INSIDE: usize = 12;
 const COLUMN: usize = 10;
 
 /// An arrow between two sibling states.
@@ -136,8 +137,10 @@ impl Graph {
 
 /// The column of each state whose level has too many states for one drawing.
 fn columns(outline: &Outline) -> BTreeMap<usize, usize> {
-    let crowded = outline.states.iter().map(|state| &state.children).filter(|c| c.len() > CROWDED);
-    let columns = crowded.flat_map(|children| {
+    let levels = outline.states.iter().enumerate().map(|(at, state)| (at == 0, &state.children));
+    let crowded =
+        levels.filter(|(whole, states)| states.len() > if *whole { CROWDED } else { CROWDED_INSIDE });
+    let columns = crowded.flat_map(|(_, children)| {
         let evenly = children.len().div_ceil(children.len().div_ceil(COLUMN));
         children.iter().enumerate().map(move |(at, child)| (*child, at / evenly))
     });

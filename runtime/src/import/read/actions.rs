@@ -2,14 +2,14 @@
 
 use roxmltree::Node;
 
-use super::{Action, Code, Content, Payload, Reader, Send, words};
+use super::{Action, Code, Content, Payload, ScxmlReader, Send, words};
 
 /// Deepest nesting of `<if>`: each `elseif` becomes a nesting level in the chart's text.
 const MAX_IFS: usize = 20;
 /// Deepest nesting of JSON.
 const MAX_JSON: usize = 20;
 
-impl<'x> Reader<'x, '_> {
+impl<'x> ScxmlReader<'x, '_> {
     pub(super) fn actions(&mut self, node: Node<'x, 'x>, depth: usize) -> Vec<Action> {
         let inside = node.tag_name().name();
         let mut actions = Vec::new();

@@ -26,7 +26,7 @@ pub(super) struct Document {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ScxmlKind {
     #[default]
     State,
     Parallel,
@@ -40,12 +40,12 @@ pub(super) enum Kind {
 pub(super) struct State {
     pub(super) line: u32,
     pub(super) id: Option<String>,
-    pub(super) kind: Kind,
+    pub(super) kind: ScxmlKind,
     pub(super) parent: Option<Index>,
     pub(super) children: Vec<Index>,
     /// The target that is entered by default, or a history's default.
-    pub(super) initial: Option<Entry>,
-    pub(super) transitions: Vec<Transition>,
+    pub(super) initial: Option<ScxmlEntry>,
+    pub(super) transitions: Vec<ScxmlTransition>,
     /// Each `<onentry>` is its own block: an error ends only its block.
     pub(super) enter: Vec<Vec<Action>>,
     pub(super) exit: Vec<Vec<Action>>,
@@ -61,14 +61,14 @@ pub(super) struct Code {
 }
 
 #[derive(Debug)]
-pub(super) struct Entry {
+pub(super) struct ScxmlEntry {
     pub(super) line: u32,
     pub(super) targets: Vec<String>,
     pub(super) actions: Vec<Action>,
 }
 
 #[derive(Debug)]
-pub(super) struct Transition {
+pub(super) struct ScxmlTransition {
     pub(super) line: u32,
     /// Event descriptors without their `.*`; empty for an eventless transition.
     pub(super) events: Vec<String>,
@@ -139,19 +139,19 @@ pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Docu
         }
     };
     let lines_before = u32::try_from(text[..lead].matches('\n').count()).unwrap_or(0);
-    let mut reader = Reader { xml: &xml, lines_before, document: Document::default(), errors };
+    let mut reader = ScxmlReader { xml: &xml, lines_before, document: Document::default(), errors };
     reader.root(xml.root_element());
     Some(reader.document).filter(|document| !document.states.is_empty())
 }
 
-struct Reader<'x, 'e> {
+struct ScxmlReader<'x, 'e> {
     xml: &'x Xml<'x>,
     lines_before: u32,
     document: Document,
     errors: &'e mut Vec<ImportError>,
 }
 
-impl<'x> Reader<'x, '_> {
+impl<'x> ScxmlReader<'x, '_> {
     fn line(&self, node: Node<'_, '_>) -> u32 {
         self.lines_before + self.xml.text_pos_at(node.range().start).row
     }
@@ -247,12 +247,12 @@ impl<'x> Reader<'x, '_> {
         }
     }
 
-    fn initial_attribute(&mut self, node: Node<'x, 'x>) -> Option<Entry> {
+    fn initial_attribute(&mut self, node: Node<'x, 'x>) -> Option<ScxmlEntry> {
         let targets: Vec<String> = words(node.attribute("initial")?);
         if targets.is_empty() {
             self.error(node, "`initial` names no state");
         }
-        Some(Entry { line: self.line(node), targets, actions: Vec::new() })
+        Some(ScxmlEntry { line: self.line(node), targets, actions: Vec::new() })
     }
 
     fn state(&mut self, node: Node<'x, 'x>, parent: Index, depth: usize) {
@@ -261,10 +261,10 @@ impl<'x> Reader<'x, '_> {
         }
         let at = self.document.states.len();
         let kind = match node.tag_name().name() {
-            "parallel" => Kind::Parallel,
-            "final" => Kind::Final,
-            "history" => Kind::History { deep: self.deep(node) },
-            _ => Kind::State,
+            "parallel" => ScxmlKind::Parallel,
+            "final" => ScxmlKind::Final,
+            "history" => ScxmlKind::History { deep: self.deep(node) },
+            _ => ScxmlKind::State,
         };
         let initial = self.initial_attribute(node);
         let id = node.attribute("id").map(str::to_owned);
@@ -275,23 +275,23 @@ impl<'x> Reader<'x, '_> {
         for child in node.children() {
             let Some(name) = self.element_or_foreign(child) else { continue };
             match (name, kind) {
-                ("transition", Kind::History { .. }) => self.entry(child, at),
-                ("transition", Kind::State | Kind::Parallel) => {
+                ("transition", ScxmlKind::History { .. }) => self.entry(child, at),
+                ("transition", ScxmlKind::State | ScxmlKind::Parallel) => {
                     let transition = self.transition(child);
                     self.document.states[at].transitions.push(transition);
                 }
-                ("initial", Kind::State) => self.initial_element(child, at),
-                ("onentry", Kind::State | Kind::Parallel | Kind::Final) => {
+                ("initial", ScxmlKind::State) => self.initial_element(child, at),
+                ("onentry", ScxmlKind::State | ScxmlKind::Parallel | ScxmlKind::Final) => {
                     let actions = self.actions(child, 0);
                     self.document.states[at].enter.push(actions);
                 }
-                ("onexit", Kind::State | Kind::Parallel | Kind::Final) => {
+                ("onexit", ScxmlKind::State | ScxmlKind::Parallel | ScxmlKind::Final) => {
                     let actions = self.actions(child, 0);
                     self.document.states[at].exit.push(actions);
                 }
-                ("state" | "parallel" | "final" | "history", Kind::State)
-                | ("state" | "parallel" | "history", Kind::Parallel) => self.state(child, at, depth + 1),
-                ("donedata", Kind::Final) => {
+                ("state" | "parallel" | "final" | "history", ScxmlKind::State)
+                | ("state" | "parallel" | "history", ScxmlKind::Parallel) => self.state(child, at, depth + 1),
+                ("donedata", ScxmlKind::Final) => {
                     let data = self.data(child, "donedata");
                     if data.content.is_some() {
                         let message = "`<content>` of `<donedata>` cannot be carried over: what a final state tells \
@@ -340,10 +340,10 @@ impl<'x> Reader<'x, '_> {
             self.error(node, "the transition of an initial or history state needs a `target`");
         }
         let actions = self.actions(node, 0);
-        self.document.states[at].initial = Some(Entry { line: self.line(node), targets, actions });
+        self.document.states[at].initial = Some(ScxmlEntry { line: self.line(node), targets, actions });
     }
 
-    fn transition(&mut self, node: Node<'x, 'x>) -> Transition {
+    fn transition(&mut self, node: Node<'x, 'x>) -> ScxmlTransition {
         let internal = match node.attribute("type") {
             None | Some("external") => false,
             Some("internal") => true,
@@ -362,7 +362,7 @@ impl<'x> Reader<'x, '_> {
                 self.error(node, format!("`{event}` is not the name of an event"));
             }
         }
-        Transition {
+        ScxmlTransition {
             line: self.line(node),
             events,
             condition: self.code(node, "cond"),

@@ -6,15 +6,15 @@ use std::collections::BTreeSet;
 
 use super::ImportError;
 use super::expression::{self, Expr, Scope};
-use super::names::{Names, ancestors};
-use super::read::{Code, Document, Entry, Index, Kind, State, Text, Transition};
+use super::names::{ScxmlNames, ancestors};
+use super::read::{Code, Document, Index, ScxmlEntry, ScxmlKind, ScxmlTransition, State, Text};
 use super::yaml::{cel_string, comment, literal, quoted, scalar};
 
 /// SCXML's own events, which a chart need not declare.
 const KNOWN: [&str; 2] = ["error.execution", "error.communication"];
 
 /// Writes the chart. What cannot be converted is appended to `errors`.
-pub(super) fn chart(document: &Document, names: &Names, errors: &mut Vec<ImportError>) -> String {
+pub(super) fn chart(document: &Document, names: &ScxmlNames, errors: &mut Vec<ImportError>) -> String {
     let mut writer = Writer { document, names, errors, out: String::new() };
     writer.chart();
     writer.out
@@ -22,7 +22,7 @@ pub(super) fn chart(document: &Document, names: &Names, errors: &mut Vec<ImportE
 
 struct Writer<'d> {
     document: &'d Document,
-    names: &'d Names,
+    names: &'d ScxmlNames,
     errors: &'d mut Vec<ImportError>,
     out: String,
 }
@@ -94,21 +94,21 @@ impl Writer<'_> {
     fn inside(&mut self, at: Index, indent: usize) {
         let state = &self.document.states[at];
         let inner: Vec<Index> = state.children.clone();
-        let entered = |i: &&Index| !matches!(self.document.states[**i].kind, Kind::History { .. });
+        let entered = |i: &&Index| !matches!(self.document.states[**i].kind, ScxmlKind::History { .. });
         let first = inner.iter().find(entered).copied();
         match state.kind {
-            Kind::Final => {
+            ScxmlKind::Final => {
                 self.line(indent, "final: success");
                 self.data(at, indent);
             }
-            Kind::History { deep } => {
+            ScxmlKind::History { deep } => {
                 self.line(indent, if deep { "history: deep" } else { "history: shallow" });
                 match &state.initial {
                     Some(entry) => self.entry("default", at, entry, indent),
                     None => self.error(state.line, "a `<history>` needs a `<transition>` to its default"),
                 }
             }
-            Kind::State => match (&state.initial, first) {
+            ScxmlKind::State => match (&state.initial, first) {
                 (None, None) if inner.is_empty() => {}
                 (Some(entry), None) => {
                     self.error(entry.line, "a state without states inside has no initial state")
@@ -120,7 +120,7 @@ impl Writer<'_> {
                     self.line(indent, &format!("initial: {name}"));
                 }
             },
-            Kind::Parallel => {}
+            ScxmlKind::Parallel => {}
         }
         for (key, blocks) in [("enter", &state.enter), ("exit", &state.exit)] {
             if blocks.iter().any(|actions| !actions.is_empty()) {
@@ -130,7 +130,7 @@ impl Writer<'_> {
         }
         self.transitions(at, indent);
         if first.is_some() {
-            self.line(indent, if state.kind == Kind::Parallel { "parallel:" } else { "states:" });
+            self.line(indent, if state.kind == ScxmlKind::Parallel { "parallel:" } else { "states:" });
             for child in inner {
                 self.state(child, indent + 1);
             }
@@ -173,10 +173,10 @@ impl Writer<'_> {
         format!("{{{}}}", fields.join(", "))
     }
 
-    fn entry(&mut self, key: &str, at: Index, entry: &Entry, indent: usize) {
+    fn entry(&mut self, key: &str, at: Index, entry: &ScxmlEntry, indent: usize) {
         let targets = self.targets(at, &entry.targets, entry.line);
         let owner = match self.document.states[at].kind {
-            Kind::History { .. } => self.document.states[at].parent.unwrap_or(0),
+            ScxmlKind::History { .. } => self.document.states[at].parent.unwrap_or(0),
             _ => at,
         };
         for id in &entry.targets {
@@ -215,7 +215,8 @@ impl Writer<'_> {
 
     fn transitions(&mut self, at: Index, indent: usize) {
         let state: &State = &self.document.states[at];
-        let always: Vec<&Transition> = state.transitions.iter().filter(|t| t.events.is_empty()).collect();
+        let always: Vec<&ScxmlTransition> =
+            state.transitions.iter().filter(|t| t.events.is_empty()).collect();
         if !always.is_empty() {
             self.line(indent, "always:");
             for transition in always {
@@ -253,18 +254,18 @@ impl Writer<'_> {
     }
 
     /// Whether a transition is internal: SCXML requires a composite source and all targets inside it.
-    fn internal(&self, at: Index, transition: &Transition) -> bool {
+    fn internal(&self, at: Index, transition: &ScxmlTransition) -> bool {
         let inside = |id: &String| {
             self.names.find(id).is_some_and(|s| ancestors(self.document, s).skip(1).any(|a| a == at))
         };
         transition.internal
-            && self.document.states[at].kind == Kind::State
+            && self.document.states[at].kind == ScxmlKind::State
             && !transition.targets.is_empty()
             && transition.targets.iter().all(inside)
     }
 
     /// One item of a list of transitions. `event` adds a guard on the event's name.
-    fn transition(&mut self, at: Index, transition: &Transition, event: Option<&str>, indent: usize) {
+    fn transition(&mut self, at: Index, transition: &ScxmlTransition, event: Option<&str>, indent: usize) {
         let mut parts = Vec::new();
         if !transition.targets.is_empty() {
             parts.push(format!("target: {}", self.targets(at, &transition.targets, transition.line)));
@@ -329,13 +330,13 @@ impl Writer<'_> {
 /// any.
 struct Group<'t> {
     pattern: String,
-    transitions: Vec<(&'t Transition, Option<String>)>,
+    transitions: Vec<(&'t ScxmlTransition, Option<String>)>,
 }
 
 /// Groups transitions by pattern. A chart tries patterns in the order of the file, so a pattern that appears again
 /// after an overlapping one would be tried too early. In that case all transitions are written under `*`, with
 /// guards on the event's name.
-fn groups(transitions: &[Transition]) -> Vec<Group<'_>> {
+fn groups(transitions: &[ScxmlTransition]) -> Vec<Group<'_>> {
     let mut groups: Vec<Group<'_>> = Vec::new();
     for transition in transitions {
         for event in &transition.events {
@@ -352,7 +353,7 @@ fn groups(transitions: &[Transition]) -> Vec<Group<'_>> {
     groups
 }
 
-fn under_star(transitions: &[Transition]) -> Group<'_> {
+fn under_star(transitions: &[ScxmlTransition]) -> Group<'_> {
     let each = transitions.iter().flat_map(|t| t.events.iter().map(move |e| (t, e)));
     let transitions = each.map(|(t, e)| (t, (e != "*").then(|| e.clone()))).collect();
     Group { pattern: "*".into(), transitions }
