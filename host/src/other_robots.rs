@@ -20,10 +20,11 @@ use parking_lot::Mutex;
 use serde_json::{Value as Json, json};
 use tokio::task::{JoinHandle, JoinSet};
 
+use crate::charts::{executor, load};
 use crate::console::Console;
 use crate::error::HostError;
 use crate::network::Network;
-use crate::run::{RunConfig, executor, load};
+use crate::run_config::RunConfig;
 use crate::run_log::{RunLog, RunLogger};
 use crate::simulated::{equipment_of, memory_without_store};
 

@@ -2,22 +2,17 @@
 //! other; each is a function below it.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use armarium_bus::SessionConfig;
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
-use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::exec::{ExecOptions, Executor, Peers, RunResult, TraceSink};
-use armarium_runtime::program::Program;
-use armarium_runtime::skill::Limits;
+use armarium_runtime::chart::Registry;
+use armarium_runtime::exec::{Executor, RunResult};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
-use armarium_source::suggest;
-use armarium_states::{Equipment, observers};
-use armarium_values::Value;
+use armarium_states::observers;
 use armarium_values::report::Figure;
 use armarium_viewer::progress::Status;
 use armarium_viewer::recorder::Recorder;
@@ -26,117 +21,21 @@ use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
 use crate::cameras;
-use crate::catalog::{self, SkillFactory};
+use crate::charts::{executor, load};
 use crate::console::Console;
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
-use crate::names::Names;
 use crate::network::Network;
 use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
 use crate::other_robots::{InProcess, OtherRobotEnded, OtherRobots};
 use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, record_robot};
-use crate::replay::{RunSource, TurnRecorder};
 use crate::report::{self, Case, JointLog};
 use crate::report_folder::ReportFolder;
+use crate::run_config::RunConfig;
 use crate::run_log::{self, RunLog, RunLogger};
 use crate::side_tasks;
 use crate::simulated::{SimulatedRobot, memory_of_run};
 use crate::world_file::WorldFile;
-
-/// How long, in real time, a skill may block the program's thread.
-const HANG_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// The configuration of a run.
-#[derive(Clone)]
-pub struct RunConfig {
-    /// The chart.
-    pub chart: PathBuf,
-    /// Additional folders in which charts find other charts by name.
-    pub charts: Vec<PathBuf>,
-    /// The simulated world; `None`: `NAME.world.yaml` beside the chart `NAME.yaml`, or else the default kitchen.
-    pub world: Option<PathBuf>,
-    /// The robot, by its name or its file, instead of the world's.
-    pub robot: Option<String>,
-    /// Seed of all random variation.
-    pub seed: u64,
-    /// Inputs of the chart as text: `("patience", "30s")`.
-    pub inputs: Vec<(String, String)>,
-    /// The chart's profile whose defaults are used.
-    pub profile: Option<String>,
-    /// Folder for `report.json`, `report.html` and `run.mcap`.
-    pub report: PathBuf,
-    /// Whether a folder that holds a report, or that another run writes to, is left alone, and the first of `DIR-2`, `DIR-3`
-    /// ... that is free is used.
-    pub keep_reports: bool,
-    /// The long-term store of motions.
-    pub store: PathBuf,
-    /// The record of the engine's turns, for [`replay`](crate::replay::Replay).
-    pub record: Option<PathBuf>,
-    /// Whether time is real. With other agents it always is.
-    pub real_time: bool,
-    /// The name by which other agents can send events to this run.
-    pub name: Option<String>,
-    /// The name of cameras in another process, which show the same world with the same seed.
-    pub cameras: Option<String>,
-    /// How other agents are reached; if they are needed and this is `None`, on this machine.
-    pub session: Option<SessionConfig>,
-    /// The program `armarium`, which starts the world's other agents; without it they must be running.
-    pub program: Option<PathBuf>,
-    /// Additional skills.
-    pub skills: Vec<SkillFactory>,
-    /// The longest time of the robot after which the run is stopped.
-    pub longest: Option<Duration>,
-    /// The most bytes that the recording may have.
-    pub largest_recording: Option<u64>,
-}
-
-impl RunConfig {
-    /// A run of the chart in virtual time, which writes `report/` and `armarium.redb`.
-    pub fn new(chart: impl Into<PathBuf>) -> Self {
-        Self {
-            chart: chart.into(),
-            charts: Vec::new(),
-            world: None,
-            robot: None,
-            seed: 1,
-            inputs: Vec::new(),
-            profile: None,
-            report: "report".into(),
-            keep_reports: false,
-            store: "armarium.redb".into(),
-            record: None,
-            real_time: false,
-            name: None,
-            cameras: None,
-            session: None,
-            program: None,
-            skills: Vec::new(),
-            longest: None,
-            largest_recording: None,
-        }
-    }
-
-    /// What the chart says of the world that it runs in: the arm that its input `arm` names, empty if none, and its probes.
-    fn wants(&self) -> (String, Vec<String>) {
-        const ARM: &str = "arm";
-        let library = chart::load(&self.chart, &self.charts);
-        let root = library.charts.get(&library.root);
-        let given = self.inputs.iter().find(|(name, _)| name == ARM).map(|(_, arm)| arm.clone());
-        let usual = || root.and_then(|chart| chart.usual_text(ARM, self.profile.as_deref()));
-        let probes = root.map_or_else(Vec::new, |chart| chart.probes().map(str::to_owned).collect());
-        (given.or_else(usual).unwrap_or_default(), probes)
-    }
-
-    /// How other agents are reached, if at all.
-    fn session(&self, world: &World, named: bool) -> Option<SessionConfig> {
-        let sees_or_shows_images = self.cameras.is_some() || !world.agents.is_empty();
-        if self.session.is_none() && !named && !sees_or_shows_images {
-            return None;
-        }
-        let session = self.session.clone().unwrap_or_default();
-        Some(SessionConfig { shared_memory: session.shared_memory || sees_or_shows_images, ..session })
-    }
-}
 
 /// How a run ended.
 #[derive(Clone, Debug)]
@@ -153,44 +52,6 @@ pub struct RunEnded {
     pub reported: bool,
     /// The folder with the report.
     pub folder: PathBuf,
-}
-
-/// Converts the given inputs to the types that the chart declares. Inputs that the chart does not have stay text;
-/// creating the run refuses them, with a suggestion.
-///
-/// # Errors
-/// [`HostError::Input`] for text that is not a value of the input's type.
-pub fn read_inputs(
-    given: &[(String, String)],
-    program: &Program,
-) -> Result<BTreeMap<String, Value>, HostError> {
-    let read = |(name, text): &(String, String)| {
-        let declared = program.inputs().find(|input| input.name == *name);
-        let value = declared.map_or_else(|| Ok(Value::from(text.as_str())), |input| input.ty.read(text));
-        let wrong = |why| HostError::Input { name: name.clone(), text: text.clone(), why };
-        value.map(|value| (name.clone(), value)).map_err(|error| wrong(error.to_string()))
-    };
-    given.iter().map(read).collect()
-}
-
-/// Refuses names that do not exist, where it is known before the run which do.
-fn known_names(
-    inputs: &BTreeMap<String, Value>,
-    program: &Program,
-    registry: &Registry,
-    chart: &Path,
-) -> Result<(), HostError> {
-    for input in program.inputs() {
-        let given = inputs.get(&input.name).and_then(Value::as_str).filter(|text| !text.is_empty());
-        if let (Some(kind), Some(text)) = (input.names, given)
-            && let Err(unknown) = registry.known_name(kind, text, chart)
-        {
-            let near = suggest(text, unknown.known.iter().map(String::as_str));
-            let why = near.map_or_else(|| unknown.to_string(), |near| format!("{unknown}; {near}"));
-            return Err(HostError::Input { name: input.name.clone(), text: text.to_owned(), why });
-        }
-    }
-    Ok(())
 }
 
 /// Checks the chart, runs it in the simulator, and writes recording and report. Ctrl-C ends the run, also with a
@@ -465,66 +326,4 @@ impl Stage {
         let (reported, folder) = (written.is_ok(), config.report.clone());
         Ok(RunEnded { result, report, figures, recorded, reported, folder })
     }
-}
-
-/// The program of a chart without errors, and the skills that it runs with.
-pub(crate) async fn load(
-    config: &RunConfig,
-    equipment: &Equipment,
-    world: &World,
-    network: &Network,
-    console: &dyn Console,
-) -> Result<(Arc<Program>, Registry), HostError> {
-    let names = Arc::new(Names::of_run(world, equipment.robot.model()));
-    let mut registry = catalog::registry(equipment, &config.skills).with_names(names);
-    let agents = network.agents.as_ref();
-    let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;
-    Ok((catalog::runnable(checked, console)?, registry))
-}
-
-/// A chart that is ready to run with a robot. It exchanges events with `peers`; when it is `closed`, nobody sends it any.
-pub(crate) fn executor(
-    config: &RunConfig,
-    program: Arc<Program>,
-    (registry, channels): (Registry, &Channels),
-    logger: &RunLogger,
-    equipment: &Equipment,
-    (peers, closed): (Peers, bool),
-    console: &Arc<dyn Console>,
-) -> Result<Executor, HostError> {
-    let robot = Arc::clone(&equipment.robot);
-    let inputs = read_inputs(&config.inputs, &program)?;
-    known_names(&inputs, &program, &registry, &config.chart)?;
-    let options = ExecOptions {
-        inputs: inputs.clone(),
-        profile: config.profile.clone(),
-        limits: Limits::default(),
-        sink: Some(recorded(config, inputs, Box::new(logger.clone()))?),
-        on_stuck: Some(Box::new(move |state| {
-            robot.stop(&format!("the skill of `{state}` does not return"));
-        })),
-        peers,
-        closed,
-    };
-    let executor = Executor::new(program, registry, channels.clone(), options)?;
-    // Robots and skills share one thread here: if a skill blocks it, no report can be written.
-    let console = Arc::clone(console);
-    Ok(executor.hang_after(HANG_TIMEOUT, Some(Box::new(move |state| console.blocked(state)))))
-}
-
-/// The sink of a run, with a record if one is requested.
-fn recorded(
-    config: &RunConfig,
-    inputs: BTreeMap<String, Value>,
-    sink: Box<dyn TraceSink>,
-) -> Result<Box<dyn TraceSink>, HostError> {
-    let Some(file) = &config.record else { return Ok(sink) };
-    let (chart, charts, profile) = (config.chart.clone(), config.charts.clone(), config.profile.clone());
-    let source = RunSource { chart, charts, inputs, profile };
-    let recorder = TurnRecorder::begin(file, &source, sink).map_err(|source| HostError::File {
-        what: "the record cannot be written:",
-        path: file.clone(),
-        source,
-    })?;
-    Ok(Box::new(recorder))
 }

@@ -17,7 +17,7 @@ use armarium_runtime::test_cases::StepCheck;
 
 use crate::console;
 use crate::run::parse_input;
-use armarium_host::{catalog, run::read_inputs};
+use armarium_host::{catalog, charts::read_inputs};
 
 /// Arguments of `step`.
 #[derive(Clone, Debug, clap::Args)]

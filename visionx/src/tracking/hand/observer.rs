@@ -212,7 +212,8 @@ fn direction(ranging: &Ranging<'_>, fingers: &[&Finger]) -> Option<Vector3<f64>>
 fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
     let tip = ranging.measured(&inside_tip(finger), TIP_RADIUS);
     let base = ranging.measured(&finger.base, BASE_RADIUS);
-    tip.zip(base).map_or_else(|| finger.clone(), |(tip, base)| finger.reaching(tip - base))
+    let rise = tip.zip(base).map_or(0.0, |(tip, base)| tip - base);
+    finger.reaching(rise)
 }
 
 /// A point slightly inside of a finger's end, px.

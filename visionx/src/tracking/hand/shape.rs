@@ -60,11 +60,10 @@ impl Finger {
         SeenFinger { direction: self.tip - self.base, length, score: self.score }
     }
 
-    /// The same finger when its tip is known to be `rise` m farther along the line of sight than its base, or nearer: then
-    /// its length is that in space.
+    /// The same finger when its tip is `rise` m farther along the line of sight than its base, or nearer.
     pub(crate) fn reaching(&self, rise: f64) -> Self {
         let length = self.length.hypot(rise);
-        Self { length, score: finger_score(length, LEAST_IN_SPACE, self.width), ..self.clone() }
+        Self { length, score: finger_score(length, self.width), ..self.clone() }
     }
 }
 
@@ -247,18 +246,13 @@ fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reac
     let width = 2.0 * CELL * f64::from(widest.map(|&i| inside[i]).fold(0.0, f32::max));
     let length = f64::from((branch.top - bottom).max(reached) + bottom - reach) * CELL + MARGIN;
     let (tip, base) = (mean(&is_end), mean(&|i| from_core[i] < bottom + 3.0));
-    Finger { tip, base, length, width, score: finger_score(length, LEAST_SEEN, width) }
+    Finger { tip, base, length, width, score: finger_score(length, width) }
 }
 
-/// Length of a stretched finger at which half are taken for one, m: as it appears, perhaps foreshortened, and as it is. A
-/// stretched finger reaches 40 mm and more beyond the palm's disc; thumb and knuckles of a fist reach less than 20 mm.
-const LEAST_SEEN: f64 = 0.018;
-const LEAST_IN_SPACE: f64 = 0.028;
-
-/// How well length and width, m, fit a stretched finger, 0 to 1; `least` is the length that fits half.
-fn finger_score(length: f64, least: f64, width: f64) -> f64 {
+/// Probability that a protrusion of this length and width (m) is a stretched finger.
+fn finger_score(length: f64, width: f64) -> f64 {
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
-    logistic((length - least) / 0.003) * logistic((width - 0.007) / 0.001) * logistic((0.030 - width) / 0.001)
+    logistic((length - 0.018) / 0.003) * logistic((width - 0.007) / 0.001) * logistic((0.030 - width) / 0.001)
 }
 
 #[cfg(test)]
