@@ -22,6 +22,12 @@ pub struct Access {
     pub writers: Vec<String>,
     /// Peers that may start its charts and skills, and send them events.
     pub callers: Vec<String>,
+    /// Peers that may see the states of its robots.
+    pub watchers: Vec<String>,
+    /// Peers that may lease and command its robots, and see their states.
+    pub commanders: Vec<String>,
+    /// Peers whose drivers this agent commands: their samples, under their own names, are taken.
+    pub drivers: Vec<String>,
 }
 
 /// A rule: name, messages, directions (as this agent sees them) and keys.
@@ -40,7 +46,14 @@ const PUBLISHING: &[&str] = &["put", "delete", "reply", "declare_queryable", "li
 impl Access {
     /// Whether any peer but the agent itself is admitted.
     pub fn is_for_others(&self) -> bool {
-        !(self.readers.is_empty() && self.writers.is_empty() && self.callers.is_empty())
+        self.others().next().is_some()
+    }
+
+    /// All peers but the agent itself; some more than once.
+    fn others(&self) -> impl Iterator<Item = &String> {
+        let lists =
+            [&self.readers, &self.writers, &self.callers, &self.watchers, &self.commanders, &self.drivers];
+        lists.into_iter().flatten()
     }
 
     /// The rules, for [`crate::SessionConfig::access_control`].
@@ -56,7 +69,7 @@ impl Access {
             rule(own, "everything_back", &everything, "egress", ["**".into()]),
         ];
         let mut subjects = vec![own];
-        for other in self.readers.iter().chain(&self.writers).chain(&self.callers) {
+        for other in self.others() {
             if subjects.contains(&other.as_str()) {
                 continue;
             }
@@ -117,6 +130,24 @@ impl Access {
             rules.push(rule(other, "calls", QUERYING, "ingress", charts()));
             rules.push(rule(other, "is_answered", PUBLISHING, "egress", charts()));
         }
+        if is_in(&self.watchers) || is_in(&self.commanders) {
+            let seen = || ["description", "state"].map(|part| format!("{own}/robot/*/{part}"));
+            rules.push(rule(other, "watches", QUERYING, "ingress", seen()));
+            rules.push(rule(other, "is_shown", PUBLISHING, "egress", seen()));
+        }
+        if is_in(&self.commanders) {
+            let asked = || ["lease", "do"].map(|part| format!("{own}/robot/*/{part}"));
+            rules.push(rule(other, "leases", QUERYING, "ingress", asked()));
+            rules.push(rule(other, "is_given", PUBLISHING, "egress", asked()));
+            let commanded = || [format!("{own}/robot/*/command")];
+            rules.push(rule(other, "commands", &["put"], "ingress", commanded()));
+            rules.push(rule(other, "is_heard", QUERYING, "egress", commanded()));
+        }
+        if is_in(&self.drivers) {
+            let driven = [format!("{other}/drive/*/targets")];
+            rules.push(rule(other, "drives", &["declare_subscriber"], "ingress", driven.clone()));
+            rules.push(rule(other, "is_driven", &["put"], "egress", driven));
+        }
         rules
     }
 }
@@ -143,6 +174,9 @@ mod tests {
             readers: names(&["bob", "erin"]),
             writers: names(&["carol", "bob"]),
             callers: names(&["dave"]),
+            watchers: names(&["frank"]),
+            commanders: names(&["grace"]),
+            drivers: names(&["heidi"]),
         };
         let rules = access.rules().unwrap();
         assert_eq!(rules["default_permission"], "deny");
@@ -161,6 +195,10 @@ mod tests {
             rules["rules"].as_array().unwrap().iter().find(|r| r["id"] == id).unwrap()["key_exprs"].clone()
         };
         assert!(!keys("erin reads").to_string().contains("/by/"), "who reads has no key to commit on");
+        assert_eq!(of("frank"), ["frank tells", "frank is_asked", "frank watches", "frank is_shown"]);
+        assert_eq!(of("grace").len(), 8);
+        assert_eq!(of("heidi"), ["heidi tells", "heidi is_asked", "heidi drives", "heidi is_driven"]);
+        assert!(!keys("frank watches").to_string().contains("command"), "who looks on does not command");
         assert_eq!(of("dave"), ["dave tells", "dave is_asked", "dave calls", "dave is_answered"]);
         let config = crate::SessionConfig { access_control: Some(rules), ..Default::default() };
         assert!(config.to_zenoh().is_ok());

@@ -7,6 +7,8 @@
 //! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
 //! {agent}/image/{provider}                         frames; queryable: what the provider gives
 //! {agent}/image/{provider}/{coding}                the same frames as PNG or JPEG
+//! {agent}/drive/{driver}/{part}                    joints below a guard: description, sample, targets, claim
+//! {agent}/robot/{robot}/{part}                     joints above a guard: description, state, lease, command, do
 //! {agent}/chart/{Chart}                            queryable: start, cancel, outcome
 //! {agent}/event                                    queryable: an event for the charts that run there
 //! {agent}/trace/{run}                              the droppable stream for viewers
@@ -163,6 +165,22 @@ pub fn event(agent: &str) -> Result<Key, KeyError> {
 /// [`KeyError`].
 pub fn chart_pattern(agent: Part<'_>, chart: Part<'_>) -> Result<KeyPattern, KeyError> {
     pattern(&[agent, Some("chart"), chart])
+}
+
+/// A part of a driver of joints: `description`, `sample`, `targets` or `claim`.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn drive(agent: &str, driver: &str, part: &str) -> Result<Key, KeyError> {
+    key(&[agent, "drive", driver, part])
+}
+
+/// A part of a robot behind its guard: `description`, `state`, `lease`, `command` or `do`.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn robot(agent: &str, robot: &str, part: &str) -> Result<Key, KeyError> {
+    key(&[agent, "robot", robot, part])
 }
 
 /// The trace of a run, for viewers.

@@ -4,6 +4,7 @@
 //!   payload.
 //! - [`keys`]: every key, as a checked type.
 //! - [`bulk`]: large payloads through shared memory on one machine, over the network otherwise.
+//! - [`control`]: small messages at once, for control loops.
 //! - [`Access`]: access rules by certificate.
 //! - [`stream`]: numbered messages, so that a reader notices gaps and can query the missing ones.
 //! - [`session`]: on loopback by default; bounded queues that count what they drop.
@@ -14,6 +15,7 @@ mod access;
 pub mod bulk;
 pub mod codec;
 mod config;
+pub mod control;
 mod error;
 pub mod keys;
 mod message;

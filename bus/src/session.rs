@@ -34,6 +34,9 @@ use crate::turns::Turns;
 /// waited for, never waits behind an answer that a link does not take.
 const ANSWERS: Priority = Priority::DataHigh;
 
+/// Pause between two questions of one that is repeated.
+const ASKED_AGAIN: Duration = Duration::from_millis(20);
+
 /// Default timeout of a query.
 pub const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -296,6 +299,24 @@ impl Session {
         let is_message = |a: &&Reply| matches!(a, Reply::Message(_));
         let best = answers.iter().find(is_message).or(answers.first()).cloned();
         best.ok_or_else(|| SessionError::NoReply { key: key.to_string(), seconds: REPLY_TIMEOUT.as_secs() })
+    }
+
+    /// Queries without a payload for one answer, again and again for `wait`: a session that has just been linked may not know
+    /// yet who answers.
+    ///
+    /// # Errors
+    /// As [`Self::query_one`].
+    pub async fn query_until(&self, key: &Key, wait: Duration) -> Result<Reply, SessionError> {
+        let asking = async {
+            loop {
+                match self.query_one(key, "", None).await {
+                    Err(SessionError::NoReply { .. }) => tokio::time::sleep(ASKED_AGAIN).await,
+                    answered => return answered,
+                }
+            }
+        };
+        let none = SessionError::NoReply { key: key.to_string(), seconds: wait.as_secs() };
+        tokio::time::timeout(wait, asking).await.unwrap_or(Err(none))
     }
 
     /// Declares a queryable with a queue for `capacity` queries; further ones end at once without an answer.

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use armarium_host::{AgentConfig, Eyes, run_agent};
+use armarium_host::{Address, AgentConfig, run_agent};
 use armarium_memoryx::Followee;
 use armarium_runtime::exec::RunResult;
 
@@ -32,7 +32,7 @@ pub(crate) struct AgentArgs {
     /// Images of another agent, used as the agent's eyes. The agent then has no robot, only skills that move nothing,
     /// and its pose is the one in the world file.
     #[arg(long, value_name = "AGENT/PROVIDER")]
-    pub(crate) eyes: Option<Eyes>,
+    pub(crate) eyes: Option<Address>,
     /// A chart that the agent runs from the start; the agent ends with it.
     #[arg(long, value_name = "CHART")]
     pub(crate) run: Option<PathBuf>,

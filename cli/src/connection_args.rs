@@ -50,6 +50,7 @@ impl AccessArgs {
             readers: self.readers.clone(),
             writers: self.writers.clone(),
             callers: self.callers.clone(),
+            ..Access::default()
         };
         access.is_for_others().then_some(access)
     }

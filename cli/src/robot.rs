@@ -1,4 +1,4 @@
-//! `armarium robot new|check|show|list`: the files that describe robots.
+//! `armarium robot new|check|show|list`: the files that describe robots. Running ones are in `robot_service`.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -7,11 +7,12 @@ use armarium_robot::description::{self, Description, shipped_robots};
 use armarium_robot::{JointKind, Kinematics, Model};
 use armarium_simulator::render::robot::robot_shapes;
 use armarium_simulator::render::{Scene, Viewpoint, render as draw};
-use armarium_source::Finding;
 use armarium_visionx::{PinholeCamera, annotate};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::console::show as render;
+use crate::described::{described, refuse};
+use crate::robot_service::{self, ScaleArgs, ServeArgs, TestArgs};
 
 /// Arguments of `robot`.
 #[derive(Clone, Debug, clap::Args)]
@@ -63,6 +64,12 @@ enum RobotCommand {
     },
     /// List the robots that the program carries.
     List,
+    /// Own the guard of a driver, so that skills of several processes can use the robot, until Ctrl-C.
+    Serve(ServeArgs),
+    /// Check that a robot, or a driver, keeps the rules that skills and people rely on.
+    Test(TestArgs),
+    /// Make a robot slower, or as fast as commanded, while it runs.
+    Scale(ScaleArgs),
 }
 
 /// Runs the subcommand. Returns the exit status: 2 when a file cannot be used.
@@ -74,28 +81,19 @@ pub(crate) fn run(args: &RobotArgs, out: &mut dyn Write) -> io::Result<u8> {
         RobotCommand::New { urdf, out: folder, semantics, packages, force } => {
             new((urdf, semantics.as_deref()), folder.as_deref(), packages, *force, out)
         }
-        RobotCommand::Check { robot, packages } => match read(robot, packages) {
+        RobotCommand::Check { robot, packages } => match described(robot, packages) {
             Ok(found) => check(&found, out),
             Err(wrong) => refuse(&wrong, out),
         },
-        RobotCommand::Show { robot, output, posture } => match read(robot, &[]) {
+        RobotCommand::Show { robot, output, posture } => match described(robot, &[]) {
             Ok(found) => show(&found.model, output.as_deref(), posture.as_deref(), out),
             Err(wrong) => refuse(&wrong, out),
         },
         RobotCommand::List => list(out),
+        RobotCommand::Serve(args) => robot_service::serve(args, out),
+        RobotCommand::Test(args) => robot_service::test(args, out),
+        RobotCommand::Scale(args) => robot_service::scale(args, out),
     }
-}
-
-fn read(robot: &str, packages: &[PathBuf]) -> Result<Description, Vec<Finding>> {
-    if description::is_file(robot) {
-        return description::load(Path::new(robot), packages);
-    }
-    description::find(robot)
-}
-
-fn refuse(wrong: &[Finding], out: &mut dyn Write) -> io::Result<u8> {
-    render(wrong, out)?;
-    Ok(2)
 }
 
 fn new(

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_host::{Console, RunConfig, RunEnded};
+use armarium_host::{Address, Console, RobotAt, RunConfig, RunEnded};
 use armarium_values::Type;
 use serde_json::json;
 
@@ -63,6 +63,16 @@ pub(crate) struct RunArgs {
     /// Use the cameras of `armarium cameras --name NAME`, in another process, with the same world and seed.
     #[arg(long, value_name = "NAME")]
     pub(crate) cameras: Option<String>,
+    /// Move the robot by a driver in another process (`docs/wire-robot.md`) instead of the simulator. The world then only says
+    /// what the agent knows.
+    #[arg(long, value_name = "AGENT/NAME")]
+    pub(crate) driver: Option<Address>,
+    /// Use the robot behind the guard of another process (`armarium robot serve`) instead of the simulated one.
+    #[arg(long, value_name = "AGENT/NAME", conflicts_with = "driver")]
+    pub(crate) robot_at: Option<Address>,
+    /// Multiply all commanded velocities, for instance `0.05` for the first try with a real arm.
+    #[arg(long, value_name = "FACTOR")]
+    pub(crate) speed_scale: Option<f64>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
@@ -139,6 +149,8 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         real_time: args.speed == Speed::RealTime,
         name: args.name.clone(),
         cameras: args.cameras.clone(),
+        robot_at: (args.driver.clone().map(RobotAt::Driver)).or(args.robot_at.clone().map(RobotAt::Guard)),
+        speed_scale: args.speed_scale,
         session,
         program: std::env::current_exe().ok(),
         longest: args.longest,

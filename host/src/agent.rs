@@ -28,7 +28,7 @@ use crate::console::Console;
 use crate::error::HostError;
 use crate::names::Names;
 use crate::remote_eyes;
-use crate::simulated::{SimulatedRobot, memory_of_agent};
+use crate::simulated::{StagedRobot, memory_of_agent};
 
 /// Serves until `until` completes or the agent's own chart has ended; then returns the chart's result, if any.
 ///
@@ -68,7 +68,7 @@ async fn live(
     let clock = session.clone();
     let mut memory = AgentMemory::open(&kept, Arc::new(move || clock.now_ns()))?;
     let simulated = match &config.eyes {
-        None => Some(SimulatedRobot::new(&world, config.seed, memory.memory(), Vec::new(), None)?),
+        None => Some(StagedRobot::new(&world, config.seed, memory.memory(), Vec::new(), None)?),
         Some(_) => {
             let root_from_agent = remote_eyes::agent_of(&world, &config.name)?.root_from_agent();
             memory.memory().commit_now(vec![agent_pose_update(&config.name, &root_from_agent)?])?;

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use armarium_bus::{Access, SessionConfig};
 use armarium_memoryx::{Followee, Policies, Retention};
 
+use crate::address::Address;
 use crate::catalog::SkillFactory;
-use crate::remote_eyes::Eyes;
 use crate::simulated::usual_policies;
 
 /// The configuration of an agent.
@@ -26,7 +26,7 @@ pub struct AgentConfig {
     pub seed: u64,
     /// Images of another agent, used as the agent's eyes. The agent then has no robot, only skills that move nothing,
     /// and its pose is the one in the world file.
-    pub eyes: Option<Eyes>,
+    pub eyes: Option<Address>,
     /// Agents whose memory is followed as soon as they are available.
     pub follow: Vec<Followee>,
     /// The file of long-term memory.

@@ -15,7 +15,7 @@ use crate::agent_config::AgentConfig;
 use crate::catalog::{self, SkillFactory};
 use crate::console::Clock;
 use crate::remote_eyes::RemoteEyes;
-use crate::simulated::SimulatedRobot;
+use crate::simulated::StagedRobot;
 
 /// What an agent acts with: its equipment, its skills and its clock.
 pub(crate) struct Backend {
@@ -30,7 +30,7 @@ pub(crate) struct Backend {
 
 impl Backend {
     /// The simulated robot with its sensors.
-    pub(crate) fn simulated(robot: SimulatedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
+    pub(crate) fn simulated(robot: StagedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
         let (handle, ending) = (robot.handle.clone(), EndOnDrop(robot.handle));
         Self {
             registry: catalog::registry(&robot.equipment, own),

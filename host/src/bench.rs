@@ -18,7 +18,7 @@ use armarium_values::Value;
 
 use crate::catalog::{self, SkillFactory};
 use crate::error::HostError;
-use crate::simulated::{SimulatedRobot, memory_without_store};
+use crate::simulated::{StagedRobot, memory_without_store};
 
 /// How long a skill may take, unless the test says otherwise.
 const LONGEST: Duration = Duration::from_secs(600);
@@ -103,7 +103,7 @@ impl Bench {
     async fn perform(self) -> Result<Benched, HostError> {
         let memory = memory_without_store(&self.world, &self.world.robot.name)?;
         let (mut robot, simulation) =
-            SimulatedRobot::new(&self.world, self.seed, memory.memory(), Vec::new(), None)?;
+            StagedRobot::new(&self.world, self.seed, memory.memory(), Vec::new(), None)?;
         if let Some(own) = self.robot {
             robot.equipment.robot = own;
         }

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use armarium_bus::SessionError;
 use armarium_memoryx::MemoryError;
+use armarium_robot::RobotError;
+use armarium_robot::driver::DriverError;
 use armarium_runtime::remote::ServeError;
 use armarium_runtime::skill::InputError;
 use armarium_simulator::SimulationError;
@@ -116,6 +118,15 @@ pub enum HostError {
         /// The reason.
         why: String,
     },
+    /// The robot's driver cannot be used.
+    #[error(transparent)]
+    Driver(#[from] DriverError),
+    /// The robot cannot be used as asked.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// Something that a run whose robot is not simulated cannot have.
+    #[error("a run with --driver or --robot-at: {0}")]
+    Driven(&'static str),
     /// Another agent of the world cannot be started, or has ended.
     #[error("{0}")]
     OtherAgent(String),

@@ -10,6 +10,7 @@
 //! The program `armarium` reads a command line and starts what is here; a program of your own does the same with its
 //! own skills (see `examples/own_agent.rs`). This room prints nothing and reads no command line.
 
+mod address;
 pub mod agent;
 mod agent_config;
 mod backend;
@@ -19,6 +20,7 @@ pub mod catalog;
 pub mod charts;
 pub mod connection;
 mod console;
+mod driven;
 mod error;
 mod frame_sampler;
 mod memory_log;
@@ -31,6 +33,7 @@ mod remote_eyes;
 pub mod replay;
 mod report;
 mod report_folder;
+mod robot_service;
 pub mod run;
 mod run_config;
 mod run_log;
@@ -39,13 +42,15 @@ pub mod simulated;
 pub mod sweep;
 mod world_file;
 
+pub use address::{Address, AddressError};
 pub use agent::run_agent;
 pub use agent_config::AgentConfig;
 pub use catalog::SkillFactory;
 pub use connection::Connection;
 pub use console::{Clock, Console, Silent};
+pub use driven::RobotAt;
 pub use error::HostError;
-pub use remote_eyes::{Eyes, EyesError};
+pub use robot_service::RobotService;
 pub use run::{RunEnded, run};
 pub use run_config::RunConfig;
 pub use world_file::WorldFile;

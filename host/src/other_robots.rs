@@ -11,7 +11,7 @@ use armarium_runtime::exec::{
     Controller, DeliveryError, Executor, Peers, Raised, RemoteEvent, RunResult, Subscribers, Transport,
 };
 use armarium_simulator::world::RobotSpec;
-use armarium_simulator::{Simulation, World};
+use armarium_simulator::{RobotInWorld, World};
 use armarium_states::{Equipment, observers};
 use armarium_values::report::{Block, Section};
 use futures::FutureExt as _;
@@ -107,25 +107,26 @@ impl OtherRobots {
         self.0.is_empty()
     }
 
-    /// Loads and checks their charts, which are named beside the world's `file`.
+    /// Loads and checks their charts, which are named beside the world's `file`; `robots` are those that are simulated.
     ///
     /// # Errors
     /// [`HostError`] when one cannot be run.
     pub(crate) async fn prepare(
         config: &RunConfig,
         (world, file): (&World, Option<&Path>),
-        simulation: &Simulation,
+        robots: &[RobotInWorld],
         (network, among): (&Network, &Arc<InProcess>),
         logger: &RunLogger,
         console: &Arc<dyn Console>,
     ) -> Result<Self, HostError> {
         let folder = file.and_then(Path::parent).unwrap_or(Path::new(""));
-        let robots = simulation.robots();
         let mut all = Vec::new();
         for (number, spec) in commanded(world) {
             let memory = memory_without_store(world, &spec.name)?;
             let seed = config.seed.rotate_left(32) ^ number as u64;
-            let equipment = equipment_of(&robots[number], spec, memory.memory(), seed);
+            let robot =
+                robots.get(number).ok_or(HostError::Driven("the world has other robots with charts"))?;
+            let equipment = equipment_of(robot, spec, memory.memory(), seed);
             let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             let config = &RunConfig {
                 chart: folder.join(spec.runs.as_deref().unwrap_or_default()),

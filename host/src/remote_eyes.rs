@@ -15,37 +15,11 @@ use armarium_visionx::{ImageError, ImageSource, StereoCalibration, StereoFrame};
 use async_trait::async_trait;
 use tokio::sync::watch;
 
+use crate::address::Address;
 use crate::error::HostError;
 
 /// How long one search for the images takes before their absence is reported.
 const SEARCH_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// The source of images: `AGENT/PROVIDER`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Eyes {
-    /// The agent that offers them.
-    pub agent: String,
-    /// The provider's name.
-    pub provider: String,
-}
-
-/// Text that does not name images.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("write it as AGENT/PROVIDER, for instance bob/alice")]
-pub struct EyesError;
-
-impl std::str::FromStr for Eyes {
-    type Err = EyesError;
-
-    fn from_str(text: &str) -> Result<Self, EyesError> {
-        match text.split('/').collect::<Vec<_>>().as_slice() {
-            [agent, provider] if !agent.is_empty() && !provider.is_empty() => {
-                Ok(Self { agent: (*agent).into(), provider: (*provider).into() })
-            }
-            _ => Err(EyesError),
-        }
-    }
-}
 
 /// The world file's entry for an agent.
 ///
@@ -65,11 +39,11 @@ pub(crate) fn agent_of<'w>(world: &'w World, name: &str) -> Result<&'w AgentSpec
 /// When they are not a stereo pair, or the session has ended.
 pub(crate) async fn open(
     session: &Session,
-    eyes: &Eyes,
+    eyes: &Address,
     mut say: impl FnMut(&str),
 ) -> Result<Arc<StereoView>, HostError> {
     loop {
-        let (agent, name) = (&eyes.agent, &eyes.provider);
+        let Address { agent, name } = eyes;
         let unusable = |why: String| HostError::Images { provider: format!("{agent}/{name}"), why };
         let connected =
             RemoteProvider::connect(session, agent, name, Delivery::Newest, ImageCoding::Raw, SEARCH_TIMEOUT);
@@ -149,15 +123,6 @@ impl ImageSource for SharedImages {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn eyes_are_named_by_agent_and_provider() {
-        let eyes = Eyes { agent: "bob".into(), provider: "alice".into() };
-        assert_eq!("bob/alice".parse(), Ok(eyes));
-        for wrong in ["bob", "/alice", "bob/", "a/b/c"] {
-            assert!(wrong.parse::<Eyes>().is_err(), "{wrong}");
-        }
-    }
 
     #[test]
     fn an_agent_that_the_world_does_not_know_is_said_with_those_that_it_does() {

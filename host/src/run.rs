@@ -1,4 +1,4 @@
-//! A run of a chart with the simulated robot, from its files to its report. [`run`] executes the phases one after the
+//! A run of a chart with the simulated robot or one behind a driver, from its files to its report. [`run`] executes the phases one after the
 //! other; each is a function below it.
 
 use std::collections::BTreeMap;
@@ -11,7 +11,7 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Registry;
 use armarium_runtime::exec::{Executor, RunResult};
 use armarium_simulator::cameras::ScenerySink;
-use armarium_simulator::{Simulation, TruthSink, World};
+use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::report::Figure;
 use armarium_viewer::progress::Status;
@@ -23,6 +23,7 @@ use tokio::task::JoinHandle;
 use crate::cameras;
 use crate::charts::{executor, load};
 use crate::console::Console;
+use crate::driven::{self, Outside, RobotAt};
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
 use crate::network::Network;
@@ -34,7 +35,7 @@ use crate::report_folder::ReportFolder;
 use crate::run_config::RunConfig;
 use crate::run_log::{self, RunLog, RunLogger};
 use crate::side_tasks;
-use crate::simulated::{SimulatedRobot, memory_of_run};
+use crate::simulated::{StagedRobot, memory_of_run};
 use crate::world_file::WorldFile;
 
 /// How a run ended.
@@ -84,37 +85,50 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
         Some(session) => Network::open(&session, name.as_deref(), &**console)?,
         None => Network::default(),
     };
+    let outside = match (&config.robot_at, &network.connection) {
+        (Some(at), Some(connection)) => {
+            let caller = name.as_deref().unwrap_or(&world.world.robot.name);
+            Some(Outside::connect(at, &world.world, caller, connection)?)
+        }
+        _ => None,
+    };
+    let waits = outside.as_ref().is_some_and(Outside::waits);
+    let alone = network.connection.is_none() || (waits && name.is_none() && config.cameras.is_none());
     let mut builder = tokio::runtime::Builder::new_current_thread();
-    builder.enable_all().start_paused(!config.real_time && network.connection.is_none());
-    builder.build()?.block_on(perform(config, &world, &network, console, began))
+    builder.enable_all().start_paused(!config.real_time && alone);
+    builder.build()?.block_on(perform(config, &world, (&network, outside), console, began))
 }
 
 async fn perform(
     config: &RunConfig,
     world: &WorldFile,
-    network: &Network,
+    (network, outside): (&Network, Option<Outside>),
     console: &Arc<dyn Console>,
     began: Instant,
 ) -> Result<RunEnded, HostError> {
-    let (stage, simulation) = Stage::set(config, &world.world, network).await?;
+    let (stage, mover) = Stage::set(config, &world.world, network, outside).await?;
     let equipment = &stage.robot.equipment;
     let (program, registry) = load(config, equipment, &world.world, network, &**console).await?;
     network.explain_events(&program, &**console);
     let folder = ReportFolder::take(&config.report, config.keep_reports)?;
     let config = &RunConfig { report: folder.path.clone(), ..config.clone() };
+    if config.robot_at.is_some() {
+        console.note("the robot is not simulated here; of the world, only what is known of it is used");
+    }
     match &world.file {
         Some(file) => console.note(&format!("the world is {}{}", file.display(), world.world.mirror_note())),
         None => console.note(&format!("the world is the default kitchen{}", world.world.mirror_note())),
     }
     let handle = stage.robot.handle.clone();
     console.world_begins(Arc::new(move || handle.now_ns()));
-    let others = stage.start_other_agents(config, world, network, &simulation).await?;
+    let others = stage.start_other_agents(config, world, network, &mover).await?;
     let chart = program.name().to_owned();
     let logger = stage.logger(&registry, console);
     let channels = Channels::new();
     let among = InProcess::of(&world.world, network);
     let file = (&world.world, world.file.as_deref());
-    let robots = OtherRobots::prepare(config, file, &simulation, (network, &among), &logger, console).await?;
+    let robots =
+        OtherRobots::prepare(config, file, &mover.robots(), (network, &among), &logger, console).await?;
     let peers = (among.peers(&world.world.robot.name), robots.is_empty() && !network.listens());
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
     stage.open_recording(config, &chart, &world.world)?;
@@ -130,7 +144,12 @@ async fn perform(
     }));
     tasks.extend(observers::start(&stage.robot.equipment, &channels));
     tasks.extend(others.as_ref().map(|others| tokio::spawn(others.watch(executor.controller()))));
-    let world_task = tokio::spawn(simulation.run());
+    let (outside, mut sensed) = (config.robot_at.is_some(), stage.robot.equipment.robot.sensed());
+    let world_task = tokio::spawn(mover.run(stage.robot.handle.clone(), Arc::clone(console)));
+    if outside {
+        // Where its joints are is known with the first sample. If none comes, the skills fail with the reason.
+        let _ = sensed.changed().await;
+    }
     let controller = executor.controller();
     let (result, robots) = robots.run_beside(executor.run(), controller).await;
 
@@ -138,7 +157,10 @@ async fn perform(
         Some(others) => others.close().await,
         None => OtherAgentsRecord::default(),
     };
-    stage.robot.equipment.robot.stop("the run has ended");
+    // A robot that others use, too, goes on; the leases of this run have ended.
+    if !matches!(config.robot_at, Some(RobotAt::Guard(_))) {
+        stage.robot.equipment.robot.stop("the run has ended");
+    }
     stage.robot.handle.stop();
     tasks.iter().for_each(JoinHandle::abort);
     let _ = world_task.await;
@@ -156,10 +178,34 @@ async fn perform(
     )
 }
 
+/// What moves the robot.
+enum Mover {
+    Simulation(Box<Simulation>),
+    Outside(driven::Mover),
+}
+
+impl Mover {
+    /// The robots of the world, as far as they are simulated.
+    fn robots(&self) -> Vec<RobotInWorld> {
+        match self {
+            Self::Simulation(simulation) => simulation.robots(),
+            Self::Outside(_) => Vec::new(),
+        }
+    }
+
+    /// Until `handle` ends it, or the robot is lost.
+    async fn run(self, handle: Handle, console: Arc<dyn Console>) {
+        match self {
+            Self::Simulation(simulation) => simulation.run().await,
+            Self::Outside(mover) => mover.run(handle, console).await,
+        }
+    }
+}
+
 /// What a chart runs with: the robot in its world, its memory, and the recorders.
 struct Stage {
     memory: AgentMemory,
-    robot: SimulatedRobot,
+    robot: StagedRobot,
     frames: Arc<FrameSampler>,
     recorder: SharedRecorder,
     digest: RunDigest,
@@ -170,7 +216,8 @@ impl Stage {
         config: &RunConfig,
         world: &World,
         network: &Network,
-    ) -> Result<(Self, Simulation), HostError> {
+        outside: Option<Outside>,
+    ) -> Result<(Self, Mover), HostError> {
         let recorder = SharedRecorder::default();
         let digest = RunDigest::default();
         let sinks: Vec<Box<dyn TruthSink>> =
@@ -183,15 +230,27 @@ impl Stage {
             _ => (None, None),
         };
         let memory = memory_of_run(world, &config.store)?;
-        let (mut robot, simulation) =
-            SimulatedRobot::new(world, config.seed, memory.memory(), sinks, scenery)?;
+        let (seed, known) = (config.seed, memory.memory());
+        let (mut robot, mover) = match outside {
+            Some(outside) => {
+                let (robot, mover) = outside.stage(world, seed, known, config.speed_scale)?;
+                (robot, Mover::Outside(mover))
+            }
+            None => {
+                let (robot, simulation) = StagedRobot::new(world, seed, known, sinks, scenery)?;
+                if let Some(scale) = config.speed_scale {
+                    robot.equipment.robot.set_speed_scale(scale)?;
+                }
+                (robot, Mover::Simulation(Box::new(simulation)))
+            }
+        };
         if let Some(cameras) = cameras {
             robot.see_through(cameras);
         }
         let cameras = Arc::clone(&robot.equipment.images);
         let frames = Arc::new(FrameSampler::of(cameras, world, recorder.clone()));
         robot.equipment.images = Arc::clone(&frames) as Arc<dyn ImageSource>;
-        Ok((Self { memory, robot, frames, recorder, digest }, simulation))
+        Ok((Self { memory, robot, frames, recorder, digest }, mover))
     }
 
     /// Starts and connects the world's other agents, on the connection's threads.
@@ -200,7 +259,7 @@ impl Stage {
         config: &RunConfig,
         world: &WorldFile,
         network: &Network,
-        simulation: &Simulation,
+        mover: &Mover,
     ) -> Result<Option<OtherAgents>, HostError> {
         let (Some(connection), Some(world_file)) = (&network.connection, &world.file) else {
             return Ok(None);
@@ -208,6 +267,9 @@ impl Stage {
         let alone = world.world.agents.is_empty() && world.world.robots.is_empty();
         let Some(store) = self.memory.store().filter(|_| !alone) else {
             return Ok(None);
+        };
+        let Mover::Simulation(simulation) = mover else {
+            return Err(HostError::Driven("the world has other agents, which are simulated only"));
         };
         let sharing = Sharing {
             session: connection.session().clone(),

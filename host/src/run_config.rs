@@ -8,6 +8,7 @@ use armarium_runtime::chart;
 use armarium_simulator::World;
 
 use crate::catalog::SkillFactory;
+use crate::driven::RobotAt;
 
 /// The configuration of a run.
 #[derive(Clone)]
@@ -41,6 +42,11 @@ pub struct RunConfig {
     pub name: Option<String>,
     /// The name of cameras in another process, which show the same world with the same seed.
     pub cameras: Option<String>,
+    /// The robot in place of the simulated one. The world then only says what the agent knows. With a driver in lockstep, and
+    /// without other agents, cameras or a name, time is virtual.
+    pub robot_at: Option<RobotAt>,
+    /// By what all commanded velocities are multiplied.
+    pub speed_scale: Option<f64>,
     /// How other agents are reached; if they are needed and this is `None`, on this machine.
     pub session: Option<SessionConfig>,
     /// The program `armarium`, which starts the world's other agents; without it they must be running.
@@ -71,6 +77,8 @@ impl RunConfig {
             real_time: false,
             name: None,
             cameras: None,
+            robot_at: None,
+            speed_scale: None,
             session: None,
             program: None,
             skills: Vec::new(),
@@ -93,7 +101,7 @@ impl RunConfig {
     /// How other agents are reached, if at all.
     pub(crate) fn session(&self, world: &World, named: bool) -> Option<SessionConfig> {
         let sees_or_shows_images = self.cameras.is_some() || !world.agents.is_empty();
-        if self.session.is_none() && !named && !sees_or_shows_images {
+        if self.session.is_none() && !named && !sees_or_shows_images && self.robot_at.is_none() {
             return None;
         }
         let session = self.session.clone().unwrap_or_default();

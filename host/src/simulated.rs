@@ -29,17 +29,18 @@ const MOTIONS: &str = "Motions";
 const PERCEIVED: [&str; 6] =
     ["ObjectInstances", "ObjectRelations", "AgentInstances", "EnvironmentModels", "HumanHands", "HumanPoses"];
 
-/// A simulated robot. Its [`Simulation`] is to be spawned.
-pub struct SimulatedRobot {
-    /// Judges with the simulator's truth.
+/// A robot with what its skills need, and what a run needs of its world. What moves it, a [`Simulation`] or a driver, is to be
+/// spawned.
+pub struct StagedRobot {
+    /// Judges with the simulator's truth, where there is one.
     pub referee: Referee,
-    /// Gives the world's time, and ends the world.
+    /// Gives the robot's time, and ends its world.
     pub handle: Handle,
     /// The skills' equipment.
     pub equipment: Equipment,
 }
 
-impl SimulatedRobot {
+impl StagedRobot {
     /// Places the robot into its world. With `scenery`, its cameras are in another process.
     ///
     /// # Errors

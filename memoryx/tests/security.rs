@@ -68,6 +68,7 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
         readers: vec!["carol".into()],
         writers: vec!["bob".into()],
         callers: Vec::new(),
+        ..Access::default()
     };
     let far = SessionConfig {
         listen: vec!["tls/127.0.0.1:0".into()],

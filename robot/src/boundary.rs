@@ -105,7 +105,8 @@ pub struct LeaseLimits {
 }
 
 /// Why the guard took the limb from its commander.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Fault {
     /// The force at a wrench sensor exceeded the limit; its arm yielded along the force.
@@ -126,6 +127,9 @@ pub enum Fault {
         /// Time without a command, ms.
         silent_ms: u64,
     },
+    /// The drives braked by themselves, as no targets came to them in time.
+    #[error("the drives got no targets in time and braked by themselves")]
+    Braked,
     /// A wrench sensor repeats the same sample: the sensor or its connection is broken.
     #[error(
         "the wrench sensor `{sensor}` has not changed for {frozen_ms} ms; check the sensor and its cable"
@@ -161,7 +165,8 @@ pub enum Fault {
 }
 
 /// Why a lease was refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum LeaseError {
     /// Another holder commands the limb.
@@ -179,6 +184,12 @@ pub enum LeaseError {
         limb: String,
         /// Comma-separated names.
         known: String,
+    },
+    /// The robot is in another process, and did not answer, or not as it should.
+    #[error("the robot cannot be asked: {why}")]
+    Unreachable {
+        /// The reason.
+        why: String,
     },
     /// No limb is named.
     #[error("a lease is of one limb at least")]

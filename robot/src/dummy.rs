@@ -13,8 +13,9 @@ use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::task::JoinHandle;
-use tokio::time::MissedTickBehavior;
+use tokio::time::{Instant, MissedTickBehavior};
 
+use crate::driver::{Driver, DriverClock, DriverError, TimedSample};
 use crate::wrist::LoadedHand;
 use crate::{
     Guard, GuardConfig, GuardedRobot, JointTargets, Kinematics, LinkId, Model, Robot, Sample, Twist,
@@ -104,6 +105,63 @@ impl ServoJoints {
             sample.wrenches[i] = felt.map(|v| v + Vector3::from_fn(|_, _| rng.random_range(-NOISE..NOISE)));
         }
     }
+}
+
+/// [`ServoJoints`] below a guard, 1 kHz.
+#[derive(Clone, Debug)]
+pub struct ServoDriver {
+    joints: ServoJoints,
+    clock: DriverClock,
+    targets: JointTargets,
+    steps: u64,
+    /// When the next sample is due, in real time.
+    due: Instant,
+}
+
+impl ServoDriver {
+    /// Joints at rest at `q` (all joints; missing values are 0), whose time passes as `clock` says.
+    pub fn new(model: &Arc<Model>, q: &[f64], clock: DriverClock) -> Self {
+        let joints = ServoJoints::new(model, q, 0);
+        let position = joints.sample().position.clone();
+        let targets = JointTargets { velocity: vec![0.0; position.len()], position };
+        Self { joints, clock, targets, steps: 0, due: Instant::now() }
+    }
+}
+
+impl Driver for ServoDriver {
+    fn clock(&self) -> DriverClock {
+        self.clock
+    }
+
+    fn period(&self) -> Duration {
+        Duration::from_millis(1)
+    }
+
+    fn sample(&mut self) -> Result<TimedSample, DriverError> {
+        if self.clock == DriverClock::Realtime {
+            self.due = (self.due + self.period()).max(Instant::now() - Duration::from_millis(20));
+            pause_until(self.due);
+        }
+        self.joints.step(&self.targets, &[], 1e-3);
+        self.steps += 1;
+        let sample = self.joints.sample().clone();
+        Ok(TimedSample { stamp_ns: self.steps * 1_000_000, sample, braked: false })
+    }
+
+    fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
+        self.targets.clone_from(targets);
+        Ok(())
+    }
+
+    fn brake(&mut self) {
+        self.targets.position.clone_from(&self.joints.sample.position);
+        self.targets.velocity.fill(0.0);
+    }
+}
+
+#[expect(clippy::disallowed_methods, reason = "a driver in real time has a thread of its own")]
+fn pause_until(due: Instant) {
+    std::thread::sleep(due.saturating_duration_since(Instant::now()));
 }
 
 /// A guarded robot on tokio's clock, 1 kHz; it stops when this is dropped.

@@ -30,6 +30,20 @@ pub enum RobotError {
         /// What is wrong with them.
         why: String,
     },
+    /// A factor that would make the robot faster than it was asked to be, or stand.
+    #[error("the speed scale {scale} cannot be used: it is over 0 and at most 1")]
+    SpeedScale {
+        /// The factor.
+        scale: f64,
+    },
+    /// The robot is in another process, which refuses, or cannot be asked.
+    #[error("the robot `{robot}`: {why}")]
+    Remote {
+        /// `AGENT/ROBOT`.
+        robot: String,
+        /// The reason.
+        why: String,
+    },
     /// It has no cameras.
     #[error("the robot has no stereo cameras; its robot file names none under `cameras`")]
     NoCamera,

@@ -6,6 +6,7 @@
 //! - [`planning`]: paths of joints around the robot's own bodies and known boxes.
 //! - [`Robot`]: the interface for skills. [`Lease`]: the exclusive right to command one limb.
 //! - [`Guard`]: the safety layer between leases and joints: limits, watchdog, force limit. Pure and stepped.
+//! - [`driver`]: what is below the guard, in this process or in another one.
 //! - [`DummyRobot`], [`conformance`]: ideal joints for tests, and the checks that every driver's test calls.
 //!
 //! This room does not know skills, charts or a physics engine, and names no robot: those that the program carries are
@@ -15,6 +16,7 @@ mod bodies;
 mod boundary;
 pub mod conformance;
 pub mod description;
+pub mod driver;
 mod dummy;
 mod error;
 mod gaze;
@@ -24,6 +26,7 @@ mod history;
 mod ik;
 mod kinematics;
 mod mesh;
+mod message;
 mod model;
 pub mod newest;
 pub mod planning;
@@ -32,7 +35,7 @@ mod seam;
 mod wrist;
 
 pub use boundary::{Fault, LeaseError, LeaseLimits, Load, LoadShape, Sensed, SensedWrench, Wrench};
-pub use dummy::{DummyRobot, ServoJoints};
+pub use dummy::{DummyRobot, ServoDriver, ServoJoints};
 pub use error::RobotError;
 pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
@@ -45,7 +48,7 @@ pub use model::{
     Model, Platform, PlatformKind, RobotLimits, StereoCamera, Visual, WrenchSensor,
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
-pub use seam::{Commander, GuardedRobot, Lease, Robot};
+pub use seam::{Commander, GuardedRobot, Lease, RemoteRobot, Robot, RobotServer};
 pub use wrist::load_mass;
 
 #[cfg(test)]

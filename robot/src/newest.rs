@@ -56,6 +56,11 @@ impl<T: Clone> Sender<T> {
         self.shared.changed.notify_waiters();
     }
 
+    /// Tells the receivers that the value will not change any more, as a dropped sender does.
+    pub fn close(&self) {
+        self.shared.close();
+    }
+
     /// The present value.
     pub fn borrow(&self) -> T {
         self.shared.state.lock().value.clone()
@@ -70,8 +75,14 @@ impl<T: Clone> Sender<T> {
 
 impl<T> Drop for Sender<T> {
     fn drop(&mut self) {
-        self.shared.state.lock().closed = true;
-        self.shared.changed.notify_waiters();
+        self.shared.close();
+    }
+}
+
+impl<T> Channel<T> {
+    fn close(&self) {
+        self.state.lock().closed = true;
+        self.changed.notify_waiters();
     }
 }
 

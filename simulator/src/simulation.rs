@@ -76,6 +76,13 @@ impl Handle {
     pub fn now_ns(&self) -> u64 {
         self.shared.now_ns.load(Ordering::Relaxed)
     }
+
+    /// Says what time it is, for a world that is not simulated here. Returns whether that goes on: false after
+    /// [`stop`](Self::stop).
+    pub fn advance(&self, now_ns: u64) -> bool {
+        self.shared.now_ns.store(now_ns, Ordering::Relaxed);
+        !self.shared.stop.load(Ordering::Relaxed)
+    }
 }
 
 /// A robot of the world, as skills see it.

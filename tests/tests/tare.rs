@@ -92,6 +92,9 @@ impl Robot for Scripted {
     fn set_surroundings(&self, _: Vec<KnownBox>) -> Result<(), RobotError> {
         Ok(())
     }
+    fn set_speed_scale(&self, _: f64) -> Result<(), RobotError> {
+        Ok(())
+    }
     fn stop(&self, _: &str) {}
     fn reset(&self) {}
     fn say(&self, _: &str) {}

@@ -25,7 +25,8 @@ use self::clearance::Clearance;
 use self::force::{Sensor, YieldingArms};
 use crate::seam::lease::{LeaseBoard, LeaseTable};
 use crate::{
-    Fault, GuardedRobot, JointKind, Kinematics, Model, Platform, PlatformKind, RobotLimits, Sensed, Wrench,
+    Fault, GuardedRobot, JointKind, Kinematics, Model, Platform, PlatformKind, Robot as _, RobotLimits,
+    Sensed, Wrench,
 };
 
 /// The guard's own limits; leases can only tighten them.
@@ -127,6 +128,8 @@ pub struct Guard {
     desired: Vec<f64>,
     targets: JointTargets,
     stamp_ns: Option<u64>,
+    /// Whether the next sample is of drives that have braked by themselves.
+    braked: bool,
 }
 
 impl Guard {
@@ -147,6 +150,7 @@ impl Guard {
             desired: vec![0.0; n],
             targets: JointTargets { position: model.zero(), velocity: vec![0.0; n] },
             stamp_ns: None,
+            braked: false,
         };
         (guard, robot)
     }
@@ -159,6 +163,21 @@ impl Guard {
     /// The robot's utterances since the last call, oldest first.
     pub fn take_utterances(&mut self) -> Vec<String> {
         self.shared.take_utterances()
+    }
+
+    /// Says that the next sample is of drives that stand, or brake, by themselves: the set points begin again where the joints
+    /// are, and limbs in motion are taken from their commanders.
+    pub fn drives_have_braked(&mut self) {
+        self.braked = true;
+    }
+
+    /// Stops the robot for good, as its drives are out of reach: leases are refused with the reason, and no sample follows.
+    pub fn end(&mut self, reason: &str) {
+        let shared = Arc::clone(&self.shared);
+        GuardedRobot { shared }.stop(reason);
+        // Once more, so that those who command are told why before the samples end.
+        self.shared.sensed.send(self.shared.sensed.borrow());
+        self.shared.sensed.close();
     }
 
     /// Processes a sample taken at `stamp_ns` since the robot's start, publishes it, and returns the targets of the
@@ -184,6 +203,7 @@ impl Guard {
         }
         self.integrate(dt);
         self.publish(stamp_ns);
+        self.braked = false;
         &self.targets
     }
 
@@ -196,8 +216,9 @@ impl Guard {
         if sample.is_finite(self.desired.len()) {
             self.measured.position.copy_from_slice(&sample.position);
             self.measured.velocity.copy_from_slice(&sample.velocity);
-            if first {
+            if first || self.braked {
                 self.targets.position.copy_from_slice(&sample.position);
+                self.targets.velocity.fill(0.0);
             }
         }
         self.measured.wrenches.clone_from(&sample.wrenches);
@@ -232,7 +253,9 @@ impl Guard {
             }
             let silent_ns = stamp_ns.saturating_sub(held.seen.1);
             let moving = held.velocities.iter().any(|v| *v != 0.0);
-            if moving && silent_ns > watchdog_ns {
+            if moving && self.braked {
+                slot.fail(&Fault::Braked);
+            } else if moving && silent_ns > watchdog_ns {
                 slot.fail(&Fault::Watchdog { silent_ms: silent_ns / 1_000_000 });
             }
         }
@@ -249,7 +272,7 @@ impl Guard {
         for slot in &table.slots {
             let Some(held) = slot.faultless() else { continue };
             for (&joint, &velocity) in slot.limb.joints.iter().zip(&held.velocities) {
-                self.desired[joint] = velocity;
+                self.desired[joint] = velocity * table.speed_scale;
             }
         }
         self.bounds.read(table, self.config.speed_m_s);

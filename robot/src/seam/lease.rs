@@ -100,7 +100,7 @@ impl LimbSlot {
     }
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct LeaseTable {
     pub(crate) slots: Vec<LimbSlot>,
     pub(crate) stopped: Option<String>,
@@ -114,12 +114,29 @@ pub(crate) struct LeaseTable {
     pub(crate) surroundings: Vec<KnownBox>,
     /// Whether the guard has not seen them yet.
     pub(crate) surroundings_changed: bool,
+    /// By which all commanded velocities are multiplied.
+    pub(crate) speed_scale: f64,
     utterances: VecDeque<String>,
     /// The number of the last lease; it changes with every new one.
     pub(crate) last_id: u64,
 }
 
 impl LeaseTable {
+    fn new(slots: Vec<LimbSlot>) -> Self {
+        Self {
+            slots,
+            stopped: None,
+            tared: Vec::new(),
+            loads: BTreeMap::new(),
+            loads_changed: false,
+            surroundings: Vec::new(),
+            surroundings_changed: false,
+            speed_scale: 1.0,
+            utterances: VecDeque::new(),
+            last_id: 0,
+        }
+    }
+
     /// Limbs that are leased together have one fault.
     pub(crate) fn share_faults(&mut self) {
         for i in 0..self.slots.len() {
@@ -149,11 +166,7 @@ impl LeaseBoard {
             wrenches: vec![SensedWrench::default(); model.wrenches().len()],
         };
         let sensed = newest::Sender::new(Arc::new(first));
-        Self {
-            model: Arc::clone(model),
-            sensed,
-            leases: Mutex::new(LeaseTable { slots, ..LeaseTable::default() }),
-        }
+        Self { model: Arc::clone(model), sensed, leases: Mutex::new(LeaseTable::new(slots)) }
     }
 
     /// No lock is held across code that could panic.
@@ -291,6 +304,14 @@ impl Robot for GuardedRobot {
         self.shared.leases().stopped = None;
     }
 
+    fn set_speed_scale(&self, scale: f64) -> Result<(), RobotError> {
+        if !(scale > 0.0 && scale <= 1.0) {
+            return Err(RobotError::SpeedScale { scale });
+        }
+        self.shared.leases().speed_scale = scale;
+        Ok(())
+    }
+
     fn say(&self, utterance: &str) {
         let mut table = self.shared.leases();
         if table.utterances.len() == MAX_UTTERANCES {
@@ -330,8 +351,8 @@ impl Commander for LocalCommander {
         if let Some(fault) = self.fault_in(&table) {
             return Err(fault);
         }
-        let joints = self.shared.model.joints();
-        if let Some(fault) = bad_command(velocities, &self.limbs, &table, joints) {
+        let limbs: Vec<&Limb> = self.limbs.iter().map(|&index| &table.slots[index].limb).collect();
+        if let Some(fault) = bad_command(velocities, &limbs, &self.shared.model) {
             self.limbs.iter().for_each(|&index| table.slots[index].fail(&fault));
             return Err(fault);
         }
@@ -353,20 +374,16 @@ impl Commander for LocalCommander {
     }
 }
 
-fn bad_command(
-    velocities: &[f64],
-    limbs: &[usize],
-    table: &LeaseTable,
-    joints: &[crate::Joint],
-) -> Option<Fault> {
-    let commanded = || limbs.iter().flat_map(|&index| &table.slots[index].limb.joints);
+/// What is wrong with a command for limbs, if anything.
+pub(super) fn bad_command(velocities: &[f64], limbs: &[&Limb], model: &Model) -> Option<Fault> {
+    let commanded = || limbs.iter().flat_map(|limb| &limb.joints);
     let (expected, got) = (commanded().count(), velocities.len());
     if expected != got {
-        let names: Vec<&str> = limbs.iter().map(|&index| table.slots[index].limb.name.as_str()).collect();
+        let names: Vec<&str> = limbs.iter().map(|limb| limb.name.as_str()).collect();
         return Some(Fault::WrongLength { limb: names.join(" and "), expected, got });
     }
     let (_, bad) = velocities.iter().zip(commanded()).find(|(v, _)| !v.is_finite())?;
-    Some(Fault::NotFinite { joint: joints[*bad].name.clone() })
+    Some(Fault::NotFinite { joint: model.joints()[*bad].name.clone() })
 }
 
 impl Drop for LocalCommander {

@@ -2,8 +2,18 @@
 //! reads the commands from the [`LeaseTable`](lease::LeaseTable); it is below this interface and does not know
 //! skills.
 
+//!
+//! The same interface over the network: [`RobotServer`] shares a robot, [`RemoteRobot`] is one in another process.
+
 pub(crate) mod lease;
+mod remote;
 mod robot;
+mod served;
+#[cfg(test)]
+mod tests;
+mod wire;
 
 pub use lease::{Commander, GuardedRobot, Lease};
+pub use remote::RemoteRobot;
 pub use robot::Robot;
+pub use served::RobotServer;

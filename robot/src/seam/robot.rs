@@ -59,6 +59,12 @@ pub trait Robot: Send + Sync {
     fn stop(&self, reason: &str);
     /// Ends a stop: limbs can be leased again. Leases that were stopped stay so.
     fn reset(&self);
+    /// Multiplies all commanded velocities from now on: 1 at first, 0.05 for a first try with a new robot. What an arm does to give
+    /// way to a force is not changed.
+    ///
+    /// # Errors
+    /// [`RobotError::SpeedScale`] when it is not over 0 and at most 1.
+    fn set_speed_scale(&self, scale: f64) -> Result<(), RobotError>;
     /// Says something through the robot's loudspeaker, for people nearby such as the coach.
     fn say(&self, utterance: &str);
 }

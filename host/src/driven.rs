@@ -1,0 +1,143 @@
+//! A robot that is not simulated here: its driver is in another process and its guard in this one, or both are elsewhere.
+
+use std::sync::Arc;
+
+use armarium_memoryx::WorkingMemory;
+use armarium_robot::driver::{Driver as _, DriverClock, GuardedDriver, RemoteDriver};
+use armarium_robot::{Guard, GuardConfig, RemoteRobot, Robot, Sensed, newest};
+use armarium_simulator::{Handle, Referee, RobotInWorld, World};
+use armarium_visionx::{ImageError, ImageSource, PinholeCamera, StereoCalibration, StereoFrame};
+use async_trait::async_trait;
+
+use crate::address::Address;
+use crate::connection::Connection;
+use crate::console::Console;
+use crate::error::HostError;
+use crate::simulated::{StagedRobot, equipment_of};
+
+/// Where a run finds its robot, if not in the simulator.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RobotAt {
+    /// A driver; the guard is in the process of the run.
+    Driver(Address),
+    /// A robot behind a guard (`armarium robot serve`), which other processes may use, too.
+    Guard(Address),
+}
+
+/// A robot that was found.
+pub(crate) enum Outside {
+    Driver(Box<RemoteDriver>),
+    Guard(RemoteRobot),
+}
+
+/// What brings the samples of such a robot.
+pub(crate) enum Mover {
+    Driver(Box<GuardedDriver>),
+    Guard(newest::Receiver<Arc<Sensed>>),
+}
+
+impl Outside {
+    /// Connects to the world's robot, or claims its driver, as the agent `caller`.
+    pub(crate) fn connect(
+        at: &RobotAt,
+        world: &World,
+        caller: &str,
+        connection: &Connection,
+    ) -> Result<Self, HostError> {
+        let (session, model) = (connection.session(), world.model()?);
+        let threads = connection.runtime();
+        match at {
+            RobotAt::Driver(Address { agent, name }) => {
+                let driver =
+                    threads.block_on(RemoteDriver::connect(session, (agent, name), &model, caller))?;
+                Ok(Self::Driver(Box::new(driver)))
+            }
+            RobotAt::Guard(Address { agent, name }) => Ok(Self::Guard(
+                threads.block_on(RemoteRobot::connect(session, (agent, name), &model, caller))?,
+            )),
+        }
+    }
+
+    /// Whether its time can stand still.
+    pub(crate) fn waits(&self) -> bool {
+        matches!(self, Self::Driver(driver) if driver.clock() == DriverClock::Lockstep)
+    }
+
+    /// The robot with what its skills need; it sees nothing until it is given cameras. Its commanded velocities are multiplied
+    /// by `speed_scale`, if that is given.
+    pub(crate) fn stage(
+        self,
+        world: &World,
+        seed: u64,
+        memory: &Arc<WorkingMemory>,
+        speed_scale: Option<f64>,
+    ) -> Result<(StagedRobot, Mover), HostError> {
+        let (robot, mover): (Arc<dyn Robot>, Mover) = match self {
+            Self::Driver(driver) => {
+                let model = world.model()?;
+                let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+                (robot, Mover::Driver(Box::new(GuardedDriver::new(guard, *driver))))
+            }
+            Self::Guard(robot) => {
+                let sensed = robot.sensed();
+                (Arc::new(robot), Mover::Guard(sensed))
+            }
+        };
+        if let Some(scale) = speed_scale {
+            robot.set_speed_scale(scale)?;
+        }
+        let images = Arc::new(NoCameras::of(world));
+        let robot = RobotInWorld { name: world.robot.name.clone(), robot, images };
+        let equipment = equipment_of(&robot, &world.robot, memory, seed);
+        Ok((StagedRobot { referee: Referee::new(world), handle: Handle::default(), equipment }, mover))
+    }
+}
+
+impl Mover {
+    /// Runs until `handle` ends it, or the robot is lost.
+    pub(crate) async fn run(self, handle: Handle, console: Arc<dyn Console>) {
+        match self {
+            Self::Driver(driver) => {
+                let heard = Arc::clone(&console);
+                let after = move |stamp_ns: u64, said: Vec<String>| {
+                    said.iter().for_each(|said| heard.happened(&format!("the robot says: {said}")));
+                    handle.advance(stamp_ns)
+                };
+                if let Err(error) = driver.run(after).await {
+                    console.note(&format!("warning: {error}"));
+                }
+            }
+            Self::Guard(mut sensed) => {
+                while sensed.changed().await.is_ok() && handle.advance(sensed.borrow_and_update().stamp_ns) {}
+            }
+        }
+    }
+}
+
+/// The cameras of a robot that has none: who waits for a picture is told so.
+struct NoCameras(StereoCalibration);
+
+impl NoCameras {
+    fn of(world: &World) -> Self {
+        let spec = &world.camera;
+        let (width, height) = (spec.width, spec.height);
+        let center = [f64::from(width) / 2.0, f64::from(height) / 2.0];
+        let camera = PinholeCamera { width, height, focal: spec.focal, center };
+        Self(StereoCalibration { camera, baseline: spec.baseline })
+    }
+}
+
+#[async_trait]
+impl ImageSource for NoCameras {
+    fn name(&self) -> &'static str {
+        "none, as the run has no --cameras"
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        self.0
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        Err(ImageError::Gone { provider: self.name().to_owned() })
+    }
+}

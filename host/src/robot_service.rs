@@ -1,0 +1,88 @@
+//! A guard in a process of its own: it owns the driver of a robot, and skills of other processes use the robot through leases.
+//!
+//! When the driver is lost it waits for the driver to come back; those who used the robot connect again.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use armarium_bus::Session;
+use armarium_robot::driver::{DriverError, GuardedDriver, RemoteDriver};
+use armarium_robot::{Guard, GuardConfig, Model, Robot as _, RobotServer};
+
+use crate::address::Address;
+use crate::console::Console;
+use crate::error::HostError;
+
+/// How often a driver that is not there is looked for.
+const LOOKED_FOR: Duration = Duration::from_millis(500);
+
+/// What a robot is served with.
+#[derive(Clone, Debug)]
+pub struct RobotService {
+    /// Its driver.
+    pub driver: Address,
+    /// The name under which others use it.
+    pub offered: Address,
+    /// Its description.
+    pub model: Arc<Model>,
+    /// All commanded velocities are multiplied by this, until somebody sets another scale.
+    pub speed_scale: f64,
+}
+
+/// Ends a guard's thread when whoever waits for it is dropped.
+struct EndOnDrop(Arc<AtomicBool>);
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+impl RobotService {
+    /// Serves until this is dropped, in real time on a multi-threaded runtime.
+    ///
+    /// # Errors
+    /// [`HostError`] when the driver is of another robot, or the session has closed.
+    pub async fn serve(&self, session: &Session, console: &Arc<dyn Console>) -> Result<(), HostError> {
+        loop {
+            let driver = self.find(session, &**console).await?;
+            let (guard, robot) = Guard::new(Arc::clone(&self.model), GuardConfig::of(&self.model));
+            robot.set_speed_scale(self.speed_scale)?;
+            let Address { agent, name } = &self.offered;
+            let _server = RobotServer::start(session, (agent, name), robot).await?;
+            console.note(&format!(
+                "{agent}/{name}: the robot `{}`, driven by {}",
+                self.model.name(),
+                driver.name()
+            ));
+            let ends = Arc::new(AtomicBool::new(false));
+            let (_end, heard) = (EndOnDrop(Arc::clone(&ends)), Arc::clone(console));
+            let after = move |_, said: Vec<String>| {
+                said.iter().for_each(|said| heard.note(&format!("the robot says: {said}")));
+                !ends.load(Ordering::Relaxed)
+            };
+            if let Err(error) = GuardedDriver::new(guard, driver).run(after).await {
+                console.note(&format!("warning: {error}"));
+            }
+        }
+    }
+
+    /// The driver, as soon as it is there and free.
+    async fn find(&self, session: &Session, console: &dyn Console) -> Result<RemoteDriver, HostError> {
+        let (Address { agent, name }, mut said) = (&self.driver, None);
+        loop {
+            match RemoteDriver::connect(session, (agent, name), &self.model, &self.offered.agent).await {
+                Ok(driver) => return Ok(driver),
+                Err(error @ (DriverError::Session { .. } | DriverError::Refused { .. })) => {
+                    if said.as_ref() != Some(&error) {
+                        console.note(&format!("waiting: {error}"));
+                        said = Some(error);
+                    }
+                    tokio::time::sleep(LOOKED_FOR).await;
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}

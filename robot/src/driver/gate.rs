@@ -1,0 +1,170 @@
+//! Whose targets a driver takes, and which of them. Pure: times are handed in.
+//!
+//! One commander at a time has the driver: who has claimed it, until he releases it, or has been silent for so long that
+//! another may claim it. Of his targets those count that answer a recent sample, in the order of the samples. After the joints have
+//! braked by themselves, only targets that were computed by somebody who knows that count.
+
+use super::DriverClock;
+use super::wire::{Claim, WireTargets};
+use crate::JointTargets;
+
+/// After so long without targets another commander may claim the driver, ns.
+const SILENCE_NS: u64 = 1_000_000_000;
+/// How long a driver waits for targets before it brakes, ns.
+pub(super) const WATCHDOG_NS: u64 = 50_000_000;
+
+#[derive(Debug)]
+struct Commander {
+    id: String,
+    /// For people.
+    caller: String,
+    /// When he was heard of last, ns.
+    heard_ns: u64,
+}
+
+#[derive(Debug)]
+pub(super) struct Gate {
+    joints: usize,
+    clock: DriverClock,
+    period_ns: u64,
+    epoch: u64,
+    commander: Option<Commander>,
+    /// The number of the newest sample.
+    newest: u64,
+    /// The number of the last sample that was answered by the commander.
+    answered: Option<u64>,
+    /// The first sample that says that the joints have braked, if they have.
+    braked_since: Option<u64>,
+    /// The targets that were taken and not been fetched yet.
+    taken: Option<JointTargets>,
+    /// Why targets were refused.
+    refused: Option<String>,
+}
+
+impl Gate {
+    pub(super) fn new(joints: usize, clock: DriverClock, period_ns: u64, epoch: u64) -> Self {
+        let braked_since = (clock == DriverClock::Realtime).then_some(0);
+        Self {
+            joints,
+            clock,
+            period_ns: period_ns.max(1),
+            epoch,
+            commander: None,
+            newest: 0,
+            answered: None,
+            braked_since,
+            taken: None,
+            refused: None,
+        }
+    }
+
+    /// A sample is about to be sent. Returns whether its joints have braked by themselves, and why targets were refused.
+    pub(super) fn begin_sample(&mut self, number: u64, now_ns: u64) -> (bool, Option<String>) {
+        self.newest = number;
+        let silent =
+            self.commander.as_ref().is_none_or(|by| now_ns.saturating_sub(by.heard_ns) > WATCHDOG_NS);
+        if silent && self.clock == DriverClock::Realtime {
+            self.brake(number);
+        }
+        (self.braked_since.is_some(), self.refused.take())
+    }
+
+    fn brake(&mut self, number: u64) {
+        self.braked_since.get_or_insert(number);
+        self.taken = None;
+    }
+
+    /// Somebody asks for the right to send targets.
+    pub(super) fn claim(&mut self, claim: Claim, now_ns: u64) -> Result<(), String> {
+        let other = self.commander.as_ref().filter(|by| by.id != claim.commander);
+        if let Some(by) = other.filter(|by| now_ns.saturating_sub(by.heard_ns) <= SILENCE_NS) {
+            return Err(format!("it is commanded by `{}`", by.caller));
+        }
+        self.commander = Some(Commander { id: claim.commander, caller: claim.caller, heard_ns: now_ns });
+        self.give_up_last();
+        Ok(())
+    }
+
+    /// The commander gives the right back.
+    pub(super) fn release(&mut self, commander: &str) {
+        if self.commander.take_if(|by| by.id == commander).is_some() {
+            self.give_up_last();
+        }
+    }
+
+    /// What the last commander wanted does not count any more.
+    fn give_up_last(&mut self) {
+        (self.answered, self.taken) = (None, None);
+        if self.clock == DriverClock::Realtime {
+            self.brake(self.newest + 1);
+        }
+    }
+
+    /// Targets have come; what is refused is said in the next sample.
+    pub(super) fn offer(&mut self, targets: WireTargets, now_ns: u64) {
+        match self.check(&targets) {
+            Ok(()) => {
+                self.answered = Some(targets.number);
+                self.braked_since = None;
+                let WireTargets { position, velocity, .. } = targets;
+                self.taken = Some(JointTargets { position, velocity });
+                self.commander.iter_mut().for_each(|by| by.heard_ns = now_ns);
+            }
+            Err(reason) => self.refuse(reason),
+        }
+    }
+
+    /// Something else than targets has come in their place.
+    pub(super) fn refuse(&mut self, reason: String) {
+        self.refused = Some(reason);
+    }
+
+    /// The targets that have come since the last call.
+    pub(super) fn take(&mut self) -> Option<JointTargets> {
+        self.taken.take()
+    }
+
+    fn check(&self, targets: &WireTargets) -> Result<(), String> {
+        let WireTargets { commander, epoch, number, position, velocity } = targets;
+        match &self.commander {
+            None => return Err("targets of somebody who has not claimed the driver".into()),
+            Some(by) if by.id != *commander => {
+                return Err(format!(
+                    "targets of somebody else than `{}`, who has claimed the driver",
+                    by.caller
+                ));
+            }
+            Some(_) => {}
+        }
+        if *epoch != self.epoch {
+            return Err("targets for another start of the driver".into());
+        }
+        if *number > self.newest {
+            return Err(format!("targets for the sample {number}, which has not been sent"));
+        }
+        if self.answered.is_some_and(|answered| *number <= answered) {
+            return Err(format!(
+                "targets for the sample {number}, which was answered, or is older than that"
+            ));
+        }
+        let age_ns = (self.newest - number).saturating_mul(self.period_ns);
+        if age_ns > WATCHDOG_NS {
+            return Err(format!("targets for a sample that is {} ms old", age_ns / 1_000_000));
+        }
+        if self.braked_since.is_some_and(|since| *number < since) {
+            return Err("targets for a sample from before the joints braked".into());
+        }
+        let n = self.joints;
+        if position.len() != n || velocity.len() != n {
+            return Err(format!(
+                "targets with {} positions and {} velocities for {n} joints",
+                position.len(),
+                velocity.len()
+            ));
+        }
+        if !position.iter().chain(velocity).all(|value| value.is_finite()) {
+            return Err("targets that are not finite numbers".into());
+        }
+        Ok(())
+    }
+}

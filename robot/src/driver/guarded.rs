@@ -1,0 +1,94 @@
+//! A guard that is stepped with a driver's samples.
+//!
+//! A driver in lockstep is asked on tokio's clock, one period after the other: under a paused clock all tasks have done what they
+//! do at one time before the next sample is waited for, so that a run is the same however long the driver takes. A driver in real
+//! time has a thread of its own, which nothing else holds up.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::{Driver, DriverClock, DriverError};
+use crate::Guard;
+
+/// A delay that is caught up.
+const MAX_DELAY: Duration = Duration::from_millis(10);
+
+/// A guard and the driver below it.
+pub struct GuardedDriver {
+    guard: Guard,
+    driver: Box<dyn Driver>,
+}
+
+impl GuardedDriver {
+    /// Puts a guard above a driver.
+    pub fn new(guard: Guard, driver: impl Driver + 'static) -> Self {
+        Self { guard, driver: Box::new(driver) }
+    }
+
+    /// Steps the guard until the driver is lost, or `after` says so, which is called with the stamp of each sample, ns, and what
+    /// the robot said. Then the joints brake, and skills are told why.
+    ///
+    /// # Errors
+    /// [`DriverError`] with which the driver was lost.
+    pub async fn run(
+        self,
+        after: impl FnMut(u64, Vec<String>) -> bool + Send + 'static,
+    ) -> Result<(), DriverError> {
+        match self.driver.clock() {
+            DriverClock::Lockstep => self.run_in_lockstep(after).await,
+            DriverClock::Realtime => {
+                let ended = tokio::task::spawn_blocking(move || self.run_in_real_time(after)).await;
+                ended.unwrap_or_else(|panicked| std::panic::resume_unwind(panicked.into_panic()))
+            }
+        }
+    }
+
+    async fn run_in_lockstep(
+        mut self,
+        mut after: impl FnMut(u64, Vec<String>) -> bool,
+    ) -> Result<(), DriverError> {
+        let (mut due, period) = (Instant::now(), self.driver.period());
+        loop {
+            match self.step() {
+                Ok(stamp_ns) if after(stamp_ns, self.guard.take_utterances()) => {}
+                ended => return self.end(ended),
+            }
+            // After a long delay in real time the robot's time stays behind: otherwise the guard would take the silence of the
+            // commanders for their end.
+            due = (due + period).max(Instant::now().checked_sub(MAX_DELAY).unwrap_or(due));
+            tokio::time::sleep_until(due).await;
+        }
+    }
+
+    fn run_in_real_time(
+        mut self,
+        mut after: impl FnMut(u64, Vec<String>) -> bool,
+    ) -> Result<(), DriverError> {
+        loop {
+            match self.step() {
+                Ok(stamp_ns) if after(stamp_ns, self.guard.take_utterances()) => {}
+                ended => return self.end(ended),
+            }
+        }
+    }
+
+    /// One sample, and its targets.
+    pub(super) fn step(&mut self) -> Result<u64, DriverError> {
+        let timed = self.driver.sample()?;
+        if timed.braked {
+            self.guard.drives_have_braked();
+        }
+        let targets = self.guard.step(timed.stamp_ns, &timed.sample);
+        self.driver.apply(targets)?;
+        Ok(timed.stamp_ns)
+    }
+
+    fn end(mut self, ended: Result<u64, DriverError>) -> Result<(), DriverError> {
+        self.driver.brake();
+        let reason =
+            ended.as_ref().err().map_or_else(|| "its driver was left".to_owned(), ToString::to_string);
+        self.guard.end(&reason);
+        ended.map(drop)
+    }
+}

@@ -1,0 +1,135 @@
+//! The interface below the guard: a [`Driver`] gives samples of the joints and the wrench sensors, and takes the targets that the
+//! guard computes from them. It does not know limbs, leases or skills.
+//!
+//! - [`GuardedDriver`]: a guard that is stepped with a driver's samples, by the driver's clock.
+//! - [`RemoteDriver`]: a driver in another process, in any language (`docs/wire-robot.md`).
+//! - [`DriverServer`]: offers a driver of this process to others.
+
+mod gate;
+mod guarded;
+mod remote;
+mod served;
+#[cfg(test)]
+mod tests;
+mod wire;
+
+use std::time::Duration;
+
+use armarium_bus::{CodecError, KeyError, SessionError};
+
+pub use guarded::GuardedDriver;
+pub use remote::RemoteDriver;
+pub use served::DriverServer;
+
+use crate::{JointTargets, Sample};
+
+/// How a driver's time passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DriverClock {
+    /// It stands still until the targets for the newest sample have come: a run does not depend on the machine's load.
+    Lockstep,
+    /// It does not wait. Without targets the joints brake after the driver's own watchdog time.
+    Realtime,
+}
+
+/// A sample and its time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedSample {
+    /// Time since the driver's start, ns.
+    pub stamp_ns: u64,
+    /// Joints and wrench sensors, in the model's order.
+    pub sample: Sample,
+    /// Whether the joints stand, or brake, because targets had not come in time.
+    pub braked: bool,
+}
+
+/// Joints and wrench sensors below a guard, in the order of a robot's model. Its functions may hold up the thread.
+pub trait Driver: Send {
+    /// How its time passes.
+    fn clock(&self) -> DriverClock;
+    /// The time from one sample to the next.
+    fn period(&self) -> Duration;
+    /// Waits for the next sample.
+    ///
+    /// # Errors
+    /// [`DriverError`] when the driver is lost: there will be no further sample.
+    fn sample(&mut self) -> Result<TimedSample, DriverError>;
+    /// Sets the targets that follow from the last sample.
+    ///
+    /// # Errors
+    /// As [`sample`](Self::sample).
+    fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError>;
+    /// Lets the joints brake and stand until further targets come.
+    fn brake(&mut self);
+}
+
+/// Why a driver cannot be used, or not any more.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DriverError {
+    /// The network failed, or nobody answered.
+    #[error("the driver `{driver}`: {source}")]
+    Session {
+        /// Its name.
+        driver: String,
+        /// The error.
+        source: SessionError,
+    },
+    /// A message that is not understood.
+    #[error("the driver `{driver}` sent what is not understood: {source}")]
+    Message {
+        /// Its name.
+        driver: String,
+        /// The error.
+        source: CodecError,
+    },
+    /// It does not obey this process.
+    #[error("the driver `{driver}` refuses: {reason}")]
+    Refused {
+        /// Its name.
+        driver: String,
+        /// Its reason.
+        reason: String,
+    },
+    /// It is not a driver of this robot.
+    #[error("the driver `{driver}` is not one of the robot `{robot}`: {what}")]
+    OtherRobot {
+        /// Its name.
+        driver: String,
+        /// The robot.
+        robot: String,
+        /// The difference.
+        what: String,
+    },
+    /// No sample came.
+    #[error("the driver `{driver}` has sent no sample for {silent_ms} ms")]
+    Silent {
+        /// Its name.
+        driver: String,
+        /// How long, ms.
+        silent_ms: u64,
+    },
+    /// Its clock went back, or stood still.
+    #[error("the clock of the driver `{driver}` went from {before_ns} to {after_ns} ns")]
+    Clock {
+        /// Its name.
+        driver: String,
+        /// The stamp before.
+        before_ns: u64,
+        /// The stamp after it.
+        after_ns: u64,
+    },
+    /// Samples of another start of the driver came.
+    #[error("the driver `{driver}` was started again, or there are two of the name")]
+    Restarted {
+        /// Its name.
+        driver: String,
+    },
+}
+
+impl From<KeyError> for DriverError {
+    fn from(error: KeyError) -> Self {
+        Self::Session { driver: error.name.clone(), source: error.into() }
+    }
+}

@@ -1,0 +1,285 @@
+//! A driver in another session: the guard above it keeps every rule, and what the driver must not take it refuses.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use armarium_bus::{Session, SessionConfig};
+use tokio::runtime::{Builder, Runtime};
+
+use super::gate::Gate;
+use super::wire::{Claim, WireTargets};
+use super::{Driver, DriverClock, DriverError, DriverServer, GuardedDriver, RemoteDriver};
+use crate::{
+    Fault, Guard, GuardConfig, JointTargets, Lease, LeaseLimits, Model, Robot, ServoDriver, conformance,
+};
+
+/// Two sessions on threads of their own.
+struct Network {
+    threads: Runtime,
+    driving: Session,
+    guarding: Session,
+}
+
+impl Network {
+    fn new() -> Self {
+        let threads = Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+        let driving = threads.block_on(Session::open(&SessionConfig::default())).unwrap();
+        let endpoints = threads.block_on(driving.endpoints());
+        let config = SessionConfig { listen: Vec::new(), ..SessionConfig::connected_to(&endpoints) };
+        let guarding = threads.block_on(Session::open(&config)).unwrap();
+        Self { threads, driving, guarding }
+    }
+
+    fn serve(&self, name: &str, model: &Arc<Model>, clock: DriverClock) -> DriverServer {
+        let driver = ServoDriver::new(model, model.start(), clock);
+        self.threads.block_on(DriverServer::start(&self.driving, ("sim", name), model, driver)).unwrap()
+    }
+
+    fn connect(&self, name: &str, model: &Model) -> Result<RemoteDriver, DriverError> {
+        self.threads.block_on(RemoteDriver::connect(&self.guarding, ("sim", name), model, "test"))
+    }
+}
+
+fn model(name: &str) -> Arc<Model> {
+    Model::shipped(name).unwrap()
+}
+
+/// Everything under a paused clock, as a run in lockstep is.
+fn in_virtual_time<T>(run: impl Future<Output = T>) -> T {
+    Builder::new_current_thread().enable_all().start_paused(true).build().unwrap().block_on(run)
+}
+
+#[test]
+fn a_robot_above_a_remote_driver_in_lockstep_keeps_every_rule() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Lockstep);
+    let driver = network.connect("arm", &model).unwrap();
+    let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    let robot: Arc<dyn Robot> = robot;
+    let arm = model.arms().next().unwrap().name.clone();
+    in_virtual_time(async {
+        let ends = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&ends);
+        let guarded = GuardedDriver::new(guard, driver).run(move |_, _| !ended.load(Ordering::Relaxed));
+        let task = tokio::spawn(guarded);
+        conformance::check(&robot, &arm).await.unwrap();
+        ends.store(true, Ordering::Relaxed);
+        task.await.unwrap().unwrap();
+        let mut sensed = robot.sensed();
+        assert!(sensed.changed().await.is_err(), "who waits for samples is told that none will come");
+    });
+    // It was released, and somebody else may have it.
+    drop(network.connect("arm", &model).unwrap());
+}
+
+/// A command is answered by the same motion, to the bit, however the threads of the network are scheduled.
+#[test]
+fn two_runs_in_lockstep_are_the_same() {
+    let run = || {
+        let (network, model) = (Network::new(), model("pillar7"));
+        let _server = network.serve("arm", &model, DriverClock::Lockstep);
+        let driver = network.connect("arm", &model).unwrap();
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+        in_virtual_time(async move {
+            let arm = model.arms().next().unwrap();
+            let task =
+                tokio::spawn(GuardedDriver::new(guard, driver).run(|stamp_ns, _| stamp_ns < 400_000_000));
+            let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+            let mut sensed = robot.sensed();
+            let mut seen = Vec::new();
+            while sensed.changed().await.is_ok() {
+                let now = sensed.borrow_and_update();
+                let _ = lease.command(&vec![(now.stamp_ns as f64 * 2e-8).sin() * 0.3; arm.joints.len()]);
+                seen.push((now.stamp_ns, now.position.clone()));
+            }
+            task.await.unwrap().unwrap();
+            seen
+        })
+    };
+    let first = run();
+    assert!(first.len() >= 400, "{}", first.len());
+    assert_eq!(first, run());
+}
+
+#[test]
+fn a_driver_in_lockstep_that_ends_is_lost_with_a_reason() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let server = network.serve("arm", &model, DriverClock::Lockstep);
+    let driver = network.connect("arm", &model).unwrap();
+    let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    let arm = model.arms().next().unwrap();
+    let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+    let mut server = Some(server);
+    let ended = in_virtual_time(GuardedDriver::new(guard, driver).run(move |stamp_ns, _| {
+        if stamp_ns > 20_000_000 {
+            server.take();
+        }
+        true
+    }));
+    assert!(matches!(ended, Err(DriverError::Silent { .. })), "{ended:?}");
+    let fault = lease.fault().unwrap().to_string();
+    assert!(fault.contains("the driver `sim/arm` has sent no sample"), "{fault}");
+}
+
+#[test]
+fn a_driver_in_real_time_brakes_when_its_guard_is_silent() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Realtime);
+    let mut driver = network.connect("arm", &model).unwrap();
+    let speed = 0.5;
+    // On a busy machine it may brake in between.
+    let silent_ns = loop {
+        let timed = driver.sample().unwrap();
+        if timed.sample.velocity[1] > 0.8 * speed {
+            break timed.stamp_ns;
+        }
+        let mut velocity = vec![0.0; timed.sample.position.len()];
+        velocity[1] = speed;
+        driver.apply(&JointTargets { position: timed.sample.position, velocity }).unwrap();
+    };
+    let standing = loop {
+        let timed = driver.sample().unwrap();
+        if timed.sample.velocity.iter().all(|v| v.abs() < conformance::STANDING) {
+            assert!(timed.braked, "and says so");
+            break timed.stamp_ns - silent_ns;
+        }
+    };
+    assert!(standing < 250_000_000, "{standing} ns");
+}
+
+/// Commands an arm for 100 samples; on a busy machine it takes some tries. Returns by how much its first joint was moved.
+fn moved(guarded: &mut GuardedDriver, robot: &dyn Robot) -> (Lease, f64) {
+    let arm = robot.model().arms().next().unwrap().clone();
+    let at = || robot.sensed().borrow().position[arm.joints[0]];
+    'again: loop {
+        let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+        let begin = at();
+        for _ in 0..100 {
+            if lease.command(&vec![0.2; arm.joints.len()]).is_err() {
+                continue 'again;
+            }
+            guarded.step().unwrap();
+        }
+        return (lease, at() - begin);
+    }
+}
+
+#[test]
+fn a_guard_begins_again_where_the_joints_have_braked() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Realtime);
+    let driver = network.connect("arm", &model).unwrap();
+    let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    let mut guarded = GuardedDriver::new(guard, driver);
+    guarded.step().unwrap();
+    let (lease, way) = moved(&mut guarded, &*robot);
+    assert!(way > 0.005, "{way}");
+    pause();
+    guarded.step().unwrap();
+    let fault = lease.fault();
+    assert!(matches!(fault, Some(Fault::Braked | Fault::Watchdog { .. })), "{fault:?}");
+    let standing = robot.sensed().borrow();
+    assert!(standing.velocity.iter().all(|v| v.abs() < conformance::STANDING), "{standing:?}");
+    drop(lease);
+    let (_lease, way) = moved(&mut guarded, &*robot);
+    assert!((0.005..0.1).contains(&way), "it goes on from there: {way}");
+}
+
+#[expect(clippy::disallowed_methods, reason = "it stands for a thread that hangs")]
+fn pause() {
+    std::thread::sleep(std::time::Duration::from_millis(200));
+}
+
+#[test]
+fn a_driver_of_another_robot_is_refused_and_left_alone() {
+    let network = Network::new();
+    let (pillar, armar) = (model("pillar7"), model("armar3"));
+    let _server = network.serve("arm", &pillar, DriverClock::Lockstep);
+    let error = network.connect("arm", &armar).unwrap_err().to_string();
+    assert!(error.contains("is not one of the robot `armar3`: the robot has no joint"), "{error}");
+    let _first = network.connect("arm", &pillar).unwrap();
+    let error = network.connect("arm", &pillar).unwrap_err().to_string();
+    assert_eq!(error, "the driver `sim/arm` refuses: it is commanded by `test`");
+    let error = network.connect("leg", &pillar).unwrap_err().to_string();
+    assert!(error.contains("nobody answered `sim/drive/leg/description`"), "{error}");
+}
+
+const MS: u64 = 1_000_000;
+
+fn targets(commander: &str, number: u64) -> WireTargets {
+    let (position, velocity) = (vec![0.1, 0.2], vec![0.0, 0.0]);
+    WireTargets { commander: commander.into(), epoch: 7, number, position, velocity }
+}
+
+fn claim(commander: &str) -> Claim {
+    Claim { commander: commander.into(), caller: commander.into() }
+}
+
+/// A driver of two joints in real time that `a` has claimed, and that has sent the samples 0 to 100.
+fn gate() -> Gate {
+    let mut gate = Gate::new(2, DriverClock::Realtime, MS, 7);
+    gate.claim(claim("a"), 0).unwrap();
+    (0..=100).for_each(|number| drop(gate.begin_sample(number, MS)));
+    gate.offer(targets("a", 90), MS);
+    assert!(gate.take().is_some());
+    gate
+}
+
+#[test]
+fn targets_that_do_not_fit_are_refused_with_a_reason() {
+    let with = |change: fn(&mut WireTargets)| {
+        let mut changed = targets("a", 95);
+        change(&mut changed);
+        changed
+    };
+    for (offered, reason) in [
+        (targets("b", 95), "somebody else than `a`"),
+        (targets("a", 90), "which was answered"),
+        (targets("a", 89), "or is older than that"),
+        (targets("a", 101), "has not been sent"),
+        (with(|t| t.epoch = 6), "another start"),
+        (with(|t| t.position.push(0.0)), "3 positions and 2 velocities for 2 joints"),
+        (with(|t| t.velocity[1] = f64::NAN), "not finite"),
+        (with(|t| t.position[0] = f64::INFINITY), "not finite"),
+    ] {
+        let mut gate = gate();
+        gate.offer(offered.clone(), MS);
+        assert!(gate.take().is_none(), "{offered:?}");
+        let (_, refused) = gate.begin_sample(101, MS);
+        assert!(refused.as_deref().is_some_and(|said| said.contains(reason)), "{refused:?} {reason}");
+        gate.offer(targets("a", 101), MS);
+        assert!(gate.take().is_some(), "what fits is taken after {reason}");
+    }
+    let mut late = gate();
+    (101..=160).for_each(|number| drop(late.begin_sample(number, MS)));
+    late.offer(targets("a", 101), MS);
+    assert!(late.begin_sample(161, MS).1.unwrap().contains("a sample that is 59 ms old"));
+}
+
+#[test]
+fn after_it_has_braked_only_who_knows_that_commands() {
+    let mut gate = gate();
+    assert!(!gate.begin_sample(101, 51 * MS).0);
+    assert!(gate.begin_sample(102, 52 * MS).0, "51 ms after the last targets");
+    gate.offer(targets("a", 101), 52 * MS);
+    assert!(gate.take().is_none());
+    assert!(gate.begin_sample(103, 53 * MS).1.unwrap().contains("from before the joints braked"));
+    gate.offer(targets("a", 102), 53 * MS);
+    assert!(gate.take().is_some() && !gate.begin_sample(104, 54 * MS).0);
+}
+
+#[test]
+fn a_driver_has_one_commander_until_he_is_silent() {
+    let mut gate = gate();
+    assert_eq!(gate.claim(claim("b"), 1000 * MS), Err("it is commanded by `a`".into()));
+    assert_eq!(gate.claim(claim("a"), 1000 * MS), Ok(()), "who asks again has it still");
+    assert_eq!(gate.claim(claim("b"), 2002 * MS), Ok(()));
+    assert!(gate.begin_sample(101, 2002 * MS).0, "a new commander begins with joints that stand");
+    gate.offer(targets("a", 101), 2002 * MS);
+    assert!(gate.take().is_none());
+    gate.release("a");
+    gate.offer(targets("b", 101), 2002 * MS);
+    assert!(gate.take().is_some(), "only who has it can give it back");
+    gate.release("b");
+    assert_eq!(gate.claim(claim("a"), 2003 * MS), Ok(()));
+}
