@@ -20,6 +20,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 ROBOT = HERE.parent.parent / "robots" / "armar3" / "robot.yaml"
+TIMEOUT_S = 900.0  # of the whole run
 FORCE_N, RMS_N, LOST_N = 8.0, 1.5, 0.2  # what is wanted, how far off it may be, and what counts as lost contact
 
 
@@ -41,7 +42,9 @@ def wipe(armarium: Path, store: Path, folder: Path, around: list[str]) -> tuple[
             raise SystemExit("the driver cannot be started")
         command = [armarium.resolve(), "run", HERE / "wipe.yaml", "--driver", "mujoco/armar3", "--connect", endpoint]
         options = ["--json", "--store", folder / "store.redb", "--report", folder / "report"]
-        ended = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+        ended = subprocess.run(
+            [*command, *options], capture_output=True, text=True, check=False, timeout=TIMEOUT_S
+        )
     finally:
         driver.terminate()
         driver.wait()
