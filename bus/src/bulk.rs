@@ -16,7 +16,7 @@ use tokio::sync::{Notify, watch};
 use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::pubsub::{Publisher, Subscriber};
-use zenoh::qos::CongestionControl;
+use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::shm::{
     GarbageCollect, PosixShmProviderBackend, ShmBuf, ShmProvider, ShmProviderBuilder, ZShmMut,
@@ -27,6 +27,7 @@ use crate::error::{SessionError, failed};
 use crate::keys::{Key, KeyPattern};
 use crate::segments;
 use crate::session::{Boxed, Session};
+use crate::turns::aside;
 
 /// A new pool has room for so many payloads of the present size.
 const PAYLOADS_PER_POOL: usize = 8;
@@ -34,6 +35,11 @@ const PAYLOADS_PER_POOL: usize = 8;
 const MIN_POOL_BYTES: usize = 4 << 20;
 /// Largest pool, bytes; payloads that do not fit into it go over the network.
 const MAX_POOL_BYTES: usize = 1 << 30;
+
+/// Zenoh has a queue for each priority: nothing else waits behind large payloads. It holds 16 packets of 64 KiB, and
+/// a payload that does not fit may take 500 ms to leave ([`SessionConfig`](crate::SessionConfig) sets both), so that
+/// a busy machine or a slow network loses no single image. With Zenoh's own 2 packets and 50 ms that happened.
+const PRIORITY: Priority = Priority::DataLow;
 
 type Pool = ShmProvider<PosixShmProviderBackend>;
 
@@ -111,7 +117,7 @@ impl Session {
 
     async fn bulk_sender_on(&self, key: &Key, encoding: &str) -> Result<BulkSender, SessionError> {
         let publisher = self.zenoh().declare_publisher(key.as_str().to_owned());
-        let publisher = publisher.encoding(Encoding::from(encoding)).express(true);
+        let publisher = publisher.encoding(Encoding::from(encoding)).express(true).priority(PRIORITY);
         let publisher = publisher.congestion_control(CongestionControl::Drop).await.map_err(failed)?;
         let (tell, wanted) = watch::channel(false);
         let told = tell.clone();
@@ -213,7 +219,7 @@ impl BulkSender {
         };
         let put = self.publisher.put(payload).attachment(attachment);
         let put = put.timestamp(self.session.zenoh().new_timestamp());
-        Box::pin(async move { put.await.map_err(failed) })
+        Box::pin(async move { aside(|| put.wait()).map_err(failed) })
     }
 }
 

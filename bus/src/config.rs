@@ -105,6 +105,12 @@ impl SessionConfig {
             ("scouting/gossip/enabled", json!(self.gossip)),
             ("transport/shared_memory/enabled", json!(self.shared_memory)),
             ("transport/link/rx/max_message_size", json!(self.largest_message)),
+            // Large payloads have a queue of their own: see `bulk::PRIORITY`.
+            ("transport/link/tx/queue/size/data_low", json!(16)),
+            (
+                "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments",
+                json!(500_000),
+            ),
         ];
         if let Some(tls) = &self.tls {
             settings.extend([

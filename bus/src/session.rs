@@ -28,7 +28,7 @@ pub use crate::message::{
 use crate::message::{nanoseconds, of_query, of_reply, of_sample};
 use crate::queue::queue;
 use crate::segments;
-use crate::turns::Turns;
+use crate::turns::{Turns, aside};
 
 /// The priority of queries and answers. Zenoh has a queue for each: what is published, which is dropped rather than
 /// waited for, never waits behind an answer that a link does not take.
@@ -166,8 +166,8 @@ impl Session {
     ) -> Boxed<'a, ()> {
         let put = self.zenoh().put(key.as_str(), payload).encoding(Encoding::from(encoding));
         let put = put.timestamp(self.zenoh().new_timestamp()).congestion_control(congestion);
-        // A link that takes nothing may hold this up too; the thread's other tasks go on elsewhere.
-        Box::pin(async move { tokio::task::block_in_place(|| put.wait()).map_err(failed) })
+        // A link that takes nothing may hold this up, too.
+        Box::pin(async move { aside(|| put.wait()).map_err(failed) })
     }
 
     /// Subscribes to keys with a queue for `capacity` messages. The session also receives its own puts.

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
 
 use parking_lot::Mutex;
-use tokio::runtime::Handle;
+use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::block_in_place;
 
 /// Askers that are kept before those that wait for nothing are forgotten.
@@ -21,6 +21,14 @@ pub(crate) struct Turns(Arc<Mutex<BTreeMap<String, Weak<tokio::sync::Mutex<()>>>
 /// The turns of one asker.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Turn(Arc<tokio::sync::Mutex<()>>);
+
+/// Does what may hold up the thread, while the thread's other tasks go on elsewhere, where there is an elsewhere.
+pub(crate) fn aside<T>(act: impl FnOnce() -> T) -> T {
+    match Handle::try_current().map(|runtime| runtime.runtime_flavor()) {
+        Ok(RuntimeFlavor::MultiThread) => block_in_place(act),
+        _ => act(),
+    }
+}
 
 impl Turns {
     /// The turns of an asker. Those who do not say who they are share theirs.
@@ -40,16 +48,16 @@ impl Turns {
 }
 
 impl Turn {
-    /// Sends when it is this one's turn. The thread's other tasks go on elsewhere meanwhile.
+    /// Sends when it is this one's turn.
     pub(crate) async fn take<T>(&self, send: impl FnOnce() -> T) -> T {
         let _taken = self.0.lock().await;
-        block_in_place(send)
+        aside(send)
     }
 
     /// As [`Self::take`], without waiting for it.
     pub(crate) fn take_later(&self, send: impl FnOnce() + Send + 'static) {
         if let Ok(_taken) = self.0.try_lock() {
-            block_in_place(send);
+            aside(send);
         } else if let Ok(runtime) = Handle::try_current() {
             let turn = self.clone();
             runtime.spawn(async move { turn.take(send).await });

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -14,9 +14,12 @@ use armarium_robot::description::shipped_robots;
 use armarium_simulator::World;
 use armarium_values::Value;
 
+/// Where the charts that ship are.
+const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../statecharts");
+
 /// Runs a chart that ships in an empty folder. Returns its report.
 fn run(folder: &Path, chart: &str, args: &[&str]) -> serde_json::Value {
-    let chart = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../statecharts").join(chart);
+    let chart = Path::new(SHIPPED).join(chart);
     let mut program = Command::new(env!("CARGO_BIN_EXE_armarium"));
     let output = program.current_dir(folder).arg("run").arg(chart).args(args).output().expect("it starts");
     let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
@@ -88,9 +91,7 @@ states:
     std::fs::write(&file, chart).expect("it is written");
     let world = "world: far\nrobot: {model: rover2, at: [0.1, -1.0], yaw_deg: 15}\n";
     std::fs::write(folder.path().join("far.yaml"), world).expect("it is written");
-    let charts = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../statecharts");
-    let charts = charts.to_string_lossy().into_owned();
-    let args = ["--charts", &charts, "--world", "far.yaml"];
+    let args = ["--charts", SHIPPED, "--world", "far.yaml"];
     let report = run(folder.path(), &file.to_string_lossy(), &args);
     assert!(figure(&report, "grasp", "position_error_m") < 0.01, "{report}");
 }
@@ -146,9 +147,7 @@ states:
         )
     };
     write("two.yaml", &world("-0.6"));
-    let charts = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../statecharts");
-    let charts = charts.to_string_lossy().into_owned();
-    let report = run(folder.path(), &chart, &["--charts", &charts, "--world", "two.yaml"]);
+    let report = run(folder.path(), &chart, &["--charts", SHIPPED, "--world", "two.yaml"]);
     assert!(figure(&report, "grasp", "position_error_m") < 0.01, "{report}");
     assert_eq!(report["robots"]["helper"]["outcome"], "success", "{report}");
 }

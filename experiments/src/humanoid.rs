@@ -17,7 +17,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, Outcome, panel};
-use super::humanoid_arm::{Arm, DT, JOINTS, Joints, largest};
+use super::humanoid_arm::{DT, HumanoidArm, JOINTS, Joints, largest};
 use super::humanoid_coach::{Arms, Modification, Tracker};
 use super::phase::{mean, over_period};
 use super::settings::{Settings as _, settings};
@@ -98,7 +98,7 @@ impl Experiment for HumanoidCoaching {
 
     fn run(&self) -> Result<Outcome, ExperimentError> {
         self.check()?;
-        let mut arm = Arm::new()?;
+        let mut arm = HumanoidArm::new()?;
         let mut tracker = self.calibrate()?;
         let logs = Modification::ALL
             .iter()
@@ -145,7 +145,7 @@ impl HumanoidCoaching {
     }
 
     /// The learned circle in the plane of a modification.
-    fn learn(&self, arm: &mut Arm, plane: [usize; 2]) -> Result<PeriodicDmp, ExperimentError> {
+    fn learn(&self, arm: &mut HumanoidArm, plane: [usize; 2]) -> Result<PeriodicDmp, ExperimentError> {
         let mut dmp = PeriodicDmp::new(PeriodicDmpConfig {
             kernels: self.kernels,
             alpha_z: self.alpha_z,
@@ -183,7 +183,7 @@ impl HumanoidCoaching {
 
     fn modify(
         &self,
-        arm: &mut Arm,
+        arm: &mut HumanoidArm,
         tracker: &mut Tracker,
         modification: Modification,
     ) -> Result<RunLog, ExperimentError> {
@@ -251,7 +251,7 @@ impl HumanoidCoaching {
         }
     }
 
-    fn figures(&self, arm: &Arm, tracker: &Tracker, logs: &[RunLog]) -> Outcome {
+    fn figures(&self, arm: &HumanoidArm, tracker: &Tracker, logs: &[RunLog]) -> Outcome {
         let mut outcome = Outcome::default();
         let each = |of: &dyn Fn(&RunLog) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
         let names: Vec<_> = logs.iter().map(|log| log.modification.name()).collect();

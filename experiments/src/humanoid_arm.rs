@@ -18,7 +18,7 @@ pub(crate) const JOINTS: usize = 7;
 pub(crate) type Joints = SVector<f64, JOINTS>;
 
 /// The arm; the rest of the robot stands still.
-pub(crate) struct Arm {
+pub(crate) struct HumanoidArm {
     name: String,
     kinematics: Kinematics,
     tcp: LinkId,
@@ -27,7 +27,7 @@ pub(crate) struct Arm {
     rest: Vec<f64>,
 }
 
-impl Arm {
+impl HumanoidArm {
     pub(crate) fn new() -> Result<Self, ExperimentError> {
         let failed = |what: String| ExperimentError::Failed(what);
         let model =
@@ -149,7 +149,12 @@ const FOLLOW: f64 = 15.0;
 
 impl Execution {
     /// Drives the joints to `q` (rad) with `qd` (rad/s) for one [`DT`].
-    pub(crate) fn drive(&mut self, arm: &mut Arm, q: &[f64], qd: &[f64]) -> Result<(), ExperimentError> {
+    pub(crate) fn drive(
+        &mut self,
+        arm: &mut HumanoidArm,
+        q: &[f64],
+        qd: &[f64],
+    ) -> Result<(), ExperimentError> {
         match self {
             Self::Ideal { position, velocity, path } => {
                 path.push(arm.at(position).0);

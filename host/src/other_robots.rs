@@ -70,7 +70,9 @@ impl InProcess {
     /// What a chart of the robot `name` is run with.
     pub(crate) fn peers(self: &Arc<Self>, name: &str) -> Peers {
         let subscribers = self.charts.get(name).cloned().unwrap_or_default();
-        Peers { transport: Some(Arc::<Self>::clone(self)), subscribers }
+        let alone = self.charts.len() == 1;
+        let among: Arc<dyn Transport> = Arc::<Self>::clone(self);
+        Peers { transport: if alone { self.otherwise.clone() } else { Some(among) }, subscribers }
     }
 }
 

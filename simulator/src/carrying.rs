@@ -17,7 +17,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 use crate::error::PlantError;
 use crate::physics::pad::PadReaction;
 use crate::physics::{DT, External, Plant};
-use crate::start::{Errors, MountedPad, RobotStart};
+use crate::start::{MountedPad, RobotErrors, RobotStart};
 use crate::world::{BodySpec, NoiseSpec, Place, TableSpec, World};
 
 /// A pair of values, right and left.
@@ -191,7 +191,7 @@ impl Carrying {
             arm,
             room_from_root: Isometry3::identity(),
             position: start.to_vec(),
-            errors: Errors::none(start.len()),
+            errors: RobotErrors::none(start.len()),
             pads: carried.pads.to_vec(),
         };
         if model.arms().count() < 2 {

@@ -28,7 +28,7 @@ pub struct RobotStart {
     /// Positions of all its joints as the robot senses them without noise, rad (m).
     pub position: Vec<f64>,
     /// What it truly is, against its model.
-    pub errors: Errors,
+    pub errors: RobotErrors,
     /// Soft pads on the hands of its arms, in the model's order. A robot that has any touches with them alone.
     pub pads: Vec<MountedPad>,
 }
@@ -75,7 +75,7 @@ pub struct MountedPad {
 
 /// The errors of one robot's body.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Errors {
+pub struct RobotErrors {
     /// Of each joint, its sensed position less the true one, rad (m).
     pub zeros: Vec<f64>,
     /// The share of its own weight that is not compensated.
@@ -95,7 +95,7 @@ impl RobotStart {
     }
 }
 
-impl Errors {
+impl RobotErrors {
     /// A robot that is what its model says.
     pub fn none(joints: usize) -> Self {
         Self { zeros: vec![0.0; joints], gravity: 0.0, backlash: 0.0, friction: 0.0, drive_time: 0.04 }
@@ -148,7 +148,7 @@ pub fn robots(
         if position.len() != joints || !position.iter().all(|q| q.is_finite()) {
             return Err(SimulationError::Start { expected: joints });
         }
-        let errors = Errors::draw(&world.physics.0, &model, &mut rng);
+        let errors = RobotErrors::draw(&world.physics.0, &model, &mut rng);
         let (name, mut room_from_root) = (spec.name.clone(), spec.world_from_root());
         if std::mem::take(&mut is_first) {
             // Its root is the room's origin; what stands elsewhere is its platform.

@@ -167,7 +167,7 @@ impl ArmLeases {
 }
 
 /// An arm and what helps it, with their leases.
-pub(crate) struct Arm {
+pub(crate) struct LeasedArm {
     leases: ArmLeases,
     model: Arc<Model>,
     limb: Limb,
@@ -178,7 +178,7 @@ pub(crate) struct Arm {
     posture: Vec<f64>,
 }
 
-impl Arm {
+impl LeasedArm {
     /// Leases the arm that the input names, and what helps it, for the skill in `context`, whose TCP goes to `targets`.
     pub(crate) async fn take(
         equipment: &Equipment,

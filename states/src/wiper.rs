@@ -17,7 +17,7 @@ use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::Value;
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::arm::{Arm, Senses, chosen};
+use crate::arm::{LeasedArm, Senses, chosen};
 use crate::equipment::Equipment;
 use crate::grasp::{hand, held_in_tcp};
 use crate::inputs::{Inputs, as_pose};
@@ -116,7 +116,7 @@ pub(crate) struct Progress {
 
 /// A motion and the arm that performs it.
 pub(crate) struct Wiper {
-    pub(crate) arm: Arm,
+    pub(crate) arm: LeasedArm,
     id: EntityId,
     motion: MotionOwner,
     stage: Stage,
@@ -182,7 +182,7 @@ impl Wiper {
         equipment: &Equipment,
         context: &SkillContext,
         tool: &GraspedTool,
-    ) -> Result<(Arm, EntityId, MotionOwner), Failure> {
+    ) -> Result<(LeasedArm, EntityId, MotionOwner), Failure> {
         let id = context.entity("motion")?;
         let motion = equipment.motions.own(&equipment.memory, &id).await?;
         // It works on what the tool stood on, with the tool over the motion's middle.
@@ -191,12 +191,12 @@ impl Wiper {
         let surface = tool.stood_on(equipment, chosen(equipment, context)?)?;
         over_middle.translation =
             (surface.at(x, y) + surface.normal().scale(tool.standing(&surface))).coords.into();
-        let arm = Arm::take(equipment, context, &[tool.tcp, over_middle]).await?;
+        let arm = LeasedArm::take(equipment, context, &[tool.tcp, over_middle]).await?;
         Ok((arm, id, motion))
     }
 
     fn new(
-        arm: Arm,
+        arm: LeasedArm,
         (id, motion): (EntityId, MotionOwner),
         stage: Stage,
         context: &SkillContext,

@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::gate::{Gate, WATCHDOG_NS};
-use super::wire::{Claim, Description, Keys, Refusal, Release, WireSample, WireTargets};
+use super::wire::{Claim, Description, DriverRefusal, Keys, Release, WireSample, WireTargets};
 use super::{Driver, DriverClock, DriverError, TimedSample};
 use crate::message::{read, written};
 use crate::{JointTargets, Model};
@@ -110,7 +110,7 @@ impl Shared {
                     query.reply(&key, &encoding, payload).await
                 }
                 Err(reason) => {
-                    let (encoding, payload) = written(&Refusal { reason });
+                    let (encoding, payload) = written(&DriverRefusal { reason });
                     query.refuse(&encoding, payload).await
                 }
             };

@@ -65,7 +65,7 @@ pub(super) struct WireTargets {
     pub(super) velocity: Vec<f64>,
 }
 
-/// Asks for the right to send targets. The answer is a [`Description`] or a [`Refusal`].
+/// Asks for the right to send targets. The answer is a [`Description`] or a [`DriverRefusal`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Claim {
     /// A text that is unique to who asks.
@@ -83,7 +83,7 @@ pub(super) struct Release {
 
 /// Why something was refused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Refusal {
+pub(super) struct DriverRefusal {
     /// A sentence.
     pub(super) reason: String,
 }
@@ -94,7 +94,7 @@ armarium_bus::payloads! {
     WireTargets: "drive/targets", 1;
     Claim: "drive/claim", 1;
     Release: "drive/release", 1;
-    Refusal: "drive/refusal", 1;
+    DriverRefusal: "drive/refusal", 1;
 }
 
 /// The keys of a driver.
@@ -120,7 +120,7 @@ pub(super) fn described(driver: &str, reply: &Reply) -> Result<Description, Driv
     match reply {
         Reply::Message(message) => read(&message.encoding, &message.payload).map_err(unreadable),
         Reply::Refusal { encoding, payload } => {
-            let Refusal { reason } = read(encoding, payload).map_err(unreadable)?;
+            let DriverRefusal { reason } = read(encoding, payload).map_err(unreadable)?;
             Err(DriverError::Refused { driver: driver.into(), reason })
         }
     }

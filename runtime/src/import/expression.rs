@@ -89,12 +89,12 @@ pub(super) enum ExpressionError {
     #[error("an expression has more than {MAX_LEN} bytes")]
     TooLong,
     #[error("the expression `{text}` cannot be carried over: {why}")]
-    Refused { text: String, why: Refusal },
+    Refused { text: String, why: Untranslatable },
 }
 
 /// What is wrong in an expression.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum Refusal {
+pub(super) enum Untranslatable {
     #[error("`{0}` is not understood")]
     Character(char),
     #[error("`{0}` is not understood here")]
@@ -110,7 +110,7 @@ pub(super) enum Refusal {
     Form(&'static str),
 }
 
-use Refusal::Form;
+use Untranslatable::Form;
 
 /// Parses an expression.
 ///
@@ -126,7 +126,7 @@ pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, ExpressionErr
         let expr = parser.or(0)?;
         match parser.tokens.get(parser.at) {
             None => Ok(expr),
-            Some(token) => Err(Refusal::Unexpected(token.show())),
+            Some(token) => Err(Untranslatable::Unexpected(token.show())),
         }
     };
     parse().map_err(|why| ExpressionError::Refused { text: text.trim().to_owned(), why })
@@ -154,7 +154,7 @@ impl Token {
 const OPERATORS: [&str; 17] =
     ["===", "!==", "==", "!=", "<=", ">=", "&&", "||", "<", ">", "!", "(", ")", "+", "-", ".", ","];
 
-fn tokens(text: &str) -> Result<Vec<Token>, Refusal> {
+fn tokens(text: &str) -> Result<Vec<Token>, Untranslatable> {
     let mut result = Vec::new();
     let mut rest = text.trim_start();
     while let Some(first) = rest.chars().next() {
@@ -165,7 +165,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, Refusal> {
             used
         } else if first.is_ascii_digit() || (first == '.' && next_digit) {
             let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '.')).unwrap_or(rest.len());
-            let number = rest[..end].parse().map_err(|_| Refusal::Number(rest[..end].to_owned()))?;
+            let number = rest[..end].parse().map_err(|_| Untranslatable::Number(rest[..end].to_owned()))?;
             result.push(Token::Number(number));
             end
         } else if first.is_alphabetic() || first == '_' || first == '$' {
@@ -175,7 +175,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, Refusal> {
             end
         } else {
             let op = OPERATORS.into_iter().find(|op| rest.starts_with(op));
-            let op = op.ok_or(Refusal::Character(first))?;
+            let op = op.ok_or(Untranslatable::Character(first))?;
             result.push(Token::Op(op));
             op.len()
         };
@@ -185,7 +185,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, Refusal> {
 }
 
 /// A quoted text and its length in bytes, with the quotes.
-fn quoted(text: &str, quote: char) -> Result<(String, usize), Refusal> {
+fn quoted(text: &str, quote: char) -> Result<(String, usize), Untranslatable> {
     let mut result = String::new();
     let mut chars = text.char_indices().skip(1);
     while let Some((at, c)) = chars.next() {
@@ -221,7 +221,7 @@ impl Parser<'_> {
         }
     }
 
-    fn or(&mut self, depth: usize) -> Result<Expr, Refusal> {
+    fn or(&mut self, depth: usize) -> Result<Expr, Untranslatable> {
         if depth > MAX_DEPTH {
             return Err(Form("it is nested too deep"));
         }
@@ -233,8 +233,8 @@ impl Parser<'_> {
         &mut self,
         op: &'static str,
         decides: bool,
-        mut operand: impl FnMut(&mut Self) -> Result<Expr, Refusal>,
-    ) -> Result<Expr, Refusal> {
+        mut operand: impl FnMut(&mut Self) -> Result<Expr, Untranslatable>,
+    ) -> Result<Expr, Untranslatable> {
         let mut left = operand(self)?;
         while self.take(&[op]).is_some() {
             let right = operand(self)?;
@@ -247,14 +247,14 @@ impl Parser<'_> {
         Ok(left)
     }
 
-    fn comparison(&mut self, depth: usize) -> Result<Expr, Refusal> {
+    fn comparison(&mut self, depth: usize) -> Result<Expr, Untranslatable> {
         let left = self.sum(depth)?;
         let Some(op) = self.take(&["===", "!==", "==", "!=", "<=", ">=", "<", ">"]) else { return Ok(left) };
         let right = self.sum(depth)?;
         compare(op, left, right)
     }
 
-    fn sum(&mut self, depth: usize) -> Result<Expr, Refusal> {
+    fn sum(&mut self, depth: usize) -> Result<Expr, Untranslatable> {
         let mut left = self.unary(depth)?;
         while let Some(op) = self.take(&["+", "-"]) {
             let right = self.unary(depth)?;
@@ -263,7 +263,7 @@ impl Parser<'_> {
         Ok(left)
     }
 
-    fn unary(&mut self, depth: usize) -> Result<Expr, Refusal> {
+    fn unary(&mut self, depth: usize) -> Result<Expr, Untranslatable> {
         if depth > MAX_DEPTH {
             return Err(Form("it is nested too deep"));
         }
@@ -288,13 +288,13 @@ impl Parser<'_> {
         }
     }
 
-    fn primary(&mut self) -> Result<Expr, Refusal> {
+    fn primary(&mut self) -> Result<Expr, Untranslatable> {
         let token = self.tokens.get(self.at).ok_or(Form("it ends too early"))?;
         self.at += 1;
         match token {
             Token::Number(n) => Ok(Expr::Number(*n)),
             Token::Text(s) => Ok(Expr::Text(s.clone())),
-            Token::Op(op) => Err(Refusal::Unexpected((*op).to_owned())),
+            Token::Op(op) => Err(Untranslatable::Unexpected((*op).to_owned())),
             Token::Name(name) => match name.as_str() {
                 "true" => Ok(Expr::Bool(true)),
                 "false" => Ok(Expr::Bool(false)),
@@ -302,12 +302,12 @@ impl Parser<'_> {
                 "_name" | "_sessionid" => Ok(Expr::Text(self.scope.chart.to_owned())),
                 "In" => self.in_state(),
                 "_event" => self.event(),
-                other => Err(Refusal::DataModel(other.to_owned())),
+                other => Err(Untranslatable::DataModel(other.to_owned())),
             },
         }
     }
 
-    fn in_state(&mut self) -> Result<Expr, Refusal> {
+    fn in_state(&mut self) -> Result<Expr, Untranslatable> {
         self.take(&["("]).ok_or(Form("`In` is written `In('state')`"))?;
         let Some(Token::Text(id)) = self.tokens.get(self.at).cloned() else {
             return Err(Form("`In` takes the id of a state as text"));
@@ -318,7 +318,7 @@ impl Parser<'_> {
         Ok((self.scope.path)(id.trim()).map_or(Expr::Bool(false), Expr::In))
     }
 
-    fn event(&mut self) -> Result<Expr, Refusal> {
+    fn event(&mut self) -> Result<Expr, Untranslatable> {
         let mut path: Vec<String> = Vec::new();
         while self.take(&["."]).is_some() {
             let Some(Token::Name(part)) = self.tokens.get(self.at) else {
@@ -330,13 +330,13 @@ impl Parser<'_> {
         match path.first().map(String::as_str) {
             Some("name") if path.len() == 1 => Ok(Expr::Event("name".into())),
             Some("data") => Ok(Expr::Event(path.join("."))),
-            Some(other) => Err(Refusal::EventField(other.to_owned())),
+            Some(other) => Err(Untranslatable::EventField(other.to_owned())),
             None => Err(Form("`_event` is used with `.name` or `.data`")),
         }
     }
 }
 
-fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Refusal> {
+fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Untranslatable> {
     use Expr::{Bool, Number, Text};
     let cel = match op {
         "===" => "==",
@@ -372,7 +372,7 @@ fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Refusal> {
     }
 }
 
-fn add(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Refusal> {
+fn add(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Untranslatable> {
     match (op, &left, &right) {
         ("+", Expr::Number(a), Expr::Number(b)) => Ok(Expr::Number(a + b)),
         ("-", Expr::Number(a), Expr::Number(b)) => Ok(Expr::Number(a - b)),

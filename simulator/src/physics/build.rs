@@ -11,7 +11,7 @@ use super::drives::{Body, Servo};
 use super::plant::{DT, Object, PAD_FRICTION};
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction};
-use crate::start::{BodyStart, Errors};
+use crate::start::{BodyStart, RobotErrors};
 use crate::table::{THICKNESS, TableTop};
 use crate::world::{BodyMotion, BodyShape, BodySpec, GRAVITY, Softness};
 
@@ -214,7 +214,7 @@ pub(super) fn add_robot(
     physics: &mut rapier::PhysicsWorld,
     model: &Model,
     assembly: &Assembly,
-    (room_from_root, errors): (&Isometry3<f64>, &Errors),
+    (room_from_root, errors): (&Isometry3<f64>, &RobotErrors),
     (position, velocity): (&[f64], &[f64]),
 ) -> Result<RobotBodies, PlantError> {
     let base = physics.insert_body(rapier::RigidBodyBuilder::fixed().pose(convert::pose(room_from_root)));
@@ -256,7 +256,7 @@ pub(super) fn add_robot(
     Ok(robot)
 }
 
-fn lump_body(lump: &Lump, pose: &Isometry3<f64>, errors: &Errors) -> rapier::RigidBodyBuilder {
+fn lump_body(lump: &Lump, pose: &Isometry3<f64>, errors: &RobotErrors) -> rapier::RigidBodyBuilder {
     let mass = rapier::MassProperties::with_inertia_matrix(
         convert::vector(&lump.mass.center().coords),
         lump.mass.mass.max(0.01),
@@ -284,7 +284,7 @@ fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJ
 
 /// Gains according to the load of the joint: highest for a platform and the torso, lowest for the wrist; all settle in the drives'
 /// time.
-fn servo(lump: &Lump, effort: f64, errors: &Errors) -> Servo {
+fn servo(lump: &Lump, effort: f64, errors: &RobotErrors) -> Servo {
     let damping = match lump.kind {
         JointKind::Prismatic if effort >= 1000.0 => 1e4,
         JointKind::Prismatic => 80.0,

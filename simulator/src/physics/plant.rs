@@ -26,7 +26,7 @@ use super::contacts::{Outside, Touch, touches};
 use super::convert;
 use super::pad::{Moving, Pad, PadReaction};
 use super::people::PersonBodies;
-use super::robot::{Arm, PaddedHand, PlantRobot};
+use super::robot::{ArmWithHand, PaddedHand, PlantRobot};
 use super::wrench::Momentum;
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
@@ -202,7 +202,7 @@ impl Plant {
         self.arms().filter(|arm| !arm.rest.asleep).count()
     }
 
-    fn arms(&self) -> impl Iterator<Item = &Arm> {
+    fn arms(&self) -> impl Iterator<Item = &ArmWithHand> {
         self.robots.iter().flat_map(|robot| &robot.arms)
     }
 
@@ -260,11 +260,14 @@ impl Plant {
     }
 
     fn apply(&mut self, external: &External) {
+        for arm in self.robots.iter().flat_map(|robot| &robot.arms) {
+            let palm = &mut self.physics.bodies[arm.hand.palm];
+            palm.reset_forces(false);
+            palm.reset_torques(false);
+        }
         let hand = self.robots[0].hand();
         let (tcp, palm) = (hand.tcp(&self.physics.bodies).translation.vector, hand.palm);
         let palm = &mut self.physics.bodies[palm];
-        palm.reset_forces(false);
-        palm.reset_torques(false);
         if external.hand != Vector3::zeros() {
             palm.add_force_at_point(convert::vector(&external.hand), convert::vector(&tcp), true);
         }
@@ -291,13 +294,8 @@ impl Plant {
     /// Applies the forces of soft pads to the hands and to the boxes that they press.
     fn press_pads(&mut self) {
         let Self { physics, objects, robots, .. } = self;
-        let first = robots.iter().enumerate().flat_map(|(i, robot)| {
-            let working = robot.working;
-            (0..robot.arms.len()).map(move |arm| i == 0 && arm == working)
-        });
-        let first: Vec<bool> = first.collect();
-        for (arm, has_external) in robots.iter_mut().flat_map(|robot| &mut robot.arms).zip(first) {
-            let Arm { hand, pad: Some(padded), .. } = arm else { continue };
+        for arm in robots.iter_mut().flat_map(|robot| &mut robot.arms) {
+            let ArmWithHand { hand, pad: Some(padded), .. } = arm else { continue };
             let tcp = hand.moving(&physics.bodies);
             let far = |object: &Object| {
                 let at = convert::to_pose(physics.bodies[object.handle].position());
@@ -316,10 +314,6 @@ impl Plant {
             let PadReaction { force, torque, .. } = padded.reaction;
             let at = tcp.pose.translation.vector;
             let palm = &mut physics.bodies[hand.palm];
-            if !has_external {
-                palm.reset_forces(false);
-                palm.reset_torques(false);
-            }
             palm.add_force_at_point(convert::vector(&force), convert::vector(&at), true);
             palm.add_torque(convert::vector(&torque), true);
             let on_box = -(torque + (at - carried.pose.translation.vector).cross(&force));
@@ -351,7 +345,7 @@ impl Plant {
             .collect();
         for (n, (&(robot, i, before), touched)) in held.iter().zip(touched).enumerate() {
             let outside = before.map(|held| self.outside(held, (robot, i), external));
-            let Arm { hand, rest, touched: was, .. } = &mut self.robots[robot].arms[i];
+            let ArmWithHand { hand, rest, touched: was, .. } = &mut self.robots[robot].arms[i];
             *was = touched;
             if rest.asleep || (!touched && before.is_none()) {
                 hand.rest_grip();
@@ -463,9 +457,10 @@ impl Plant {
 
     /// For each arm, whether something touches it or what it holds.
     fn touched(&self) -> Vec<bool> {
-        let held = |arm: &Arm| arm.hand.grip.held().map(|held| &self.objects[held]);
-        let presses = |arm: &Arm| arm.pad.as_ref().is_some_and(|pad| pad.reaction.normal > 0.0);
-        let rubs = |arm: &Arm| presses(arm) || held(arm).is_some_and(|object| object.reaction.normal > 0.0);
+        let held = |arm: &ArmWithHand| arm.hand.grip.held().map(|held| &self.objects[held]);
+        let presses = |arm: &ArmWithHand| arm.pad.as_ref().is_some_and(|pad| pad.reaction.normal > 0.0);
+        let rubs =
+            |arm: &ArmWithHand| presses(arm) || held(arm).is_some_and(|object| object.reaction.normal > 0.0);
         let mut touched: Vec<bool> = self.arms().map(rubs).collect();
         for pair in self.physics.narrow_phase.contact_pairs().filter(|pair| pair.has_any_active_contact()) {
             for (arm, touched) in self.arms().zip(&mut touched) {

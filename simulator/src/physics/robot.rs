@@ -15,7 +15,7 @@ use super::drives::Joints;
 use super::hand::Hand;
 use super::pad::{Pad, PadReaction};
 use crate::error::PlantError;
-use crate::start::{Errors, MountedPad, RobotStart};
+use crate::start::{MountedPad, RobotErrors, RobotStart};
 
 /// An arm sleeps after this many steps of rest.
 const SLEEPS_AFTER: u32 = 300;
@@ -25,7 +25,7 @@ const FIRST_TARGET: f64 = 2e-3;
 const RESTING: f64 = 1e-3;
 
 /// An arm with its hand.
-pub(super) struct Arm {
+pub(super) struct ArmWithHand {
     /// Its joints and those of its hand.
     joints: Vec<usize>,
     /// Its wrench sensor.
@@ -79,12 +79,12 @@ impl Rest {
 pub(super) struct PlantRobot {
     model: Arc<Model>,
     room_from_root: Isometry3<f64>,
-    errors: Errors,
+    errors: RobotErrors,
     pub(super) joints: Joints,
     /// The joints of the arms, of what helps them and carries them, and of their hands.
     heavy: Vec<usize>,
     parts: RobotBodies,
-    pub(super) arms: Vec<Arm>,
+    pub(super) arms: Vec<ArmWithHand>,
     /// The arm that works, as an index into `arms`.
     pub(super) working: usize,
 }
@@ -118,7 +118,7 @@ impl PlantRobot {
         let parts = add_robot(physics, &model, &assembly, (&room_from_root, &errors), (&start, &still))?;
         let arm = |limb: &&Limb| {
             let hand = Hand::new(&model, limb, (&assembly, &parts), objects)?;
-            Some(Arm {
+            Some(ArmWithHand {
                 joints: own(limb),
                 sensor: limb.wrench,
                 colliders: Vec::new(),
@@ -135,7 +135,7 @@ impl PlantRobot {
             })
         };
         let working = limbs.iter().position(|arm| arm.name == works);
-        let mut arms: Vec<Arm> = limbs.iter().filter_map(arm).collect();
+        let mut arms: Vec<ArmWithHand> = limbs.iter().filter_map(arm).collect();
         for (arm, pad) in arms.iter_mut().zip(&pads) {
             arm.pad = Some(PaddedHand { mounted: *pad, pad: None, reaction: PadReaction::default() });
         }

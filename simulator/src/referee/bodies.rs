@@ -7,7 +7,7 @@ use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::probes::{Probe, figure};
+use super::probes::{Probe, cell, figure, of_each, table_of, things};
 use super::run::Run;
 use crate::physics::Touched;
 use crate::world::BodySpec;
@@ -17,11 +17,8 @@ const FALLEN: f64 = 0.3;
 
 pub(super) const PROBE: Probe = Probe {
     name: "bodies",
-    measure: |run| {
-        let bodies = bodies(run);
-        (!bodies.is_empty()).then(|| serde_json::to_value(bodies).ok())?
-    },
-    asks: |own: &Value| own.as_array().map_or(&[][..], Vec::as_slice).iter().flat_map(asks).collect(),
+    measure: |run| of_each(&bodies(run)),
+    asks: |own| things(own).iter().flat_map(asks).collect(),
     section: |_, own| {
         let note = "Where each body of the world was at the end, against where it began, and the largest force of the robot on it.";
         vec![Section::new("Bodies", note, vec![Block::Table(table(own))])]
@@ -55,15 +52,13 @@ fn bodies(run: &Run<'_>) -> Vec<BodyFigures> {
         let (begin, end) = run.log.begin_and_end(index)?;
         let moved = end.translation.vector - begin.translation.vector;
         let [then, now] = [begin, end].map(|pose| pose.rotation * Vector3::z());
-        let (half, end_from_room) = (spec.half(), end.inverse());
+        let (half, body_from_room) = (spec.half(), end.inverse());
+        // What lies on top of the others may stand out by half of the height.
+        let reach = [half.x, half.y, 2.0 * half.z];
+        let is_inside = |place: Point3<f64>| (0..3).all(|k| place[k].abs() <= reach[k]);
         let is_out = |ball: &usize| {
-            let place = run
-                .log
-                .begin_and_end(*ball)
-                .map(|(_, pose)| end_from_room * Point3::from(pose.translation.vector));
-            place.is_none_or(|place| {
-                (0..3).any(|k| place[k].abs() > half[k] + if k == 2 { half[2] } else { 0.0 })
-            })
+            let end = run.log.begin_and_end(*ball).map(|(_, end)| Point3::from(end.translation.vector));
+            !end.is_some_and(|end| is_inside(body_from_room * end))
         };
         Some(BodyFigures {
             name: spec.name.clone(),
@@ -89,18 +84,15 @@ fn asks(body: &Value) -> Vec<Figure> {
 }
 
 fn table(own: &Value) -> Table {
-    let mut table = Table::new(&["Body", "#Moved", "#Tipped", "Fell", "#Spilled", "#Touched with"]);
-    let row = |body: &Value| {
-        let number = |key: &str, factor: f64| body.get(key).and_then(Value::as_f64).map(|v| v * factor);
+    let titles = ["Body", "#Moved", "#Tipped", "Fell", "#Spilled", "#Touched with"];
+    table_of(own, &titles, |body| {
         vec![
             Cell::Text(body["name"].as_str().unwrap_or_default().to_owned()),
-            Cell::optional(number("moved_m", 1e3), "mm", 0),
-            Cell::optional(number("tipped_deg", 1.0), "°", 1),
+            cell(body, ("moved_m", 1e3), "mm", 0),
+            cell(body, ("tipped_deg", 1.0), "°", 1),
             Cell::Text(if body["fell"] == true { "yes" } else { "no" }.to_owned()),
-            Cell::optional(number("spilled", 1.0), "", 0),
-            Cell::optional(number("touched_with_n", 1.0), "N", 1),
+            cell(body, ("spilled", 1.0), "", 0),
+            cell(body, ("touched_with_n", 1.0), "N", 1),
         ]
-    };
-    table.rows = own.as_array().map_or(&[][..], Vec::as_slice).iter().map(row).collect();
-    table
+    })
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::Mark;
 use super::log::Record;
 use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
-use super::probes::{Probe, figure};
+use super::probes::{Probe, cell, figure, of_each, table_of, things};
 use super::run::{Run, ns};
 use crate::coach::{ActionKind, EventKind, PhaseTracker};
 use crate::world::{CoachingAction, Gesture};
@@ -19,10 +19,7 @@ const RECOVERY_S: f64 = 1.0;
 
 pub(super) const PROBE: Probe = Probe {
     name: "coaching",
-    measure: |run| {
-        let actions = run.coaching();
-        (!actions.is_empty()).then(|| serde_json::to_value(actions).ok())?
-    },
+    measure: |run| of_each(&run.coaching()),
     asks,
     section: |_, own| {
         let note = "How far each coaching moved the motion, and what stayed when the coach had gone.";
@@ -63,8 +60,7 @@ struct CoachingFigures {
 }
 
 fn asks(own: &Value) -> Vec<Figure> {
-    let actions = own.as_array().map_or(&[][..], Vec::as_slice);
-    actions.iter().enumerate().flat_map(|(i, action)| asks_of_one(i, action)).collect()
+    things(own).iter().enumerate().flat_map(|(i, action)| asks_of_one(i, action)).collect()
 }
 
 fn asks_of_one(index: usize, action: &Value) -> Vec<Figure> {
@@ -94,21 +90,16 @@ fn asks_of_one(index: usize, action: &Value) -> Vec<Figure> {
 /// One row for each of the coach's actions.
 fn table(own: &Value) -> Table {
     let titles = ["Coach", "#At", "#Moved the motion", "#Kept", "#Far side, RMS", "#Slowed to"];
-    let mut table = Table::new(&titles);
-    let row = |action: &Value| {
-        let number = |key: &str, factor: f64| action.get(key).and_then(Value::as_f64).map(|v| v * factor);
-        let mm = |key: &str| Cell::optional(number(key, 1e3), "mm", 1);
+    table_of(own, &titles, |action| {
         vec![
             Cell::Text(action["kind"].as_str().unwrap_or_default().replace('_', " ")),
-            Cell::optional(number("at_s", 1.0), "s", 1),
-            mm("displacement_m"),
-            mm("retained_m"),
-            mm("far_side_rms_m"),
-            Cell::optional(number("slowed_to", 1e2), "%", 0),
+            cell(action, ("at_s", 1.0), "s", 1),
+            cell(action, ("displacement_m", 1e3), "mm", 1),
+            cell(action, ("retained_m", 1e3), "mm", 1),
+            cell(action, ("far_side_rms_m", 1e3), "mm", 1),
+            cell(action, ("slowed_to", 1e2), "%", 0),
         ]
-    };
-    table.rows = own.as_array().map_or(&[][..], Vec::as_slice).iter().map(row).collect();
-    table
+    })
 }
 
 /// One period of the motion before all coaching, and the newest period in phase with it.

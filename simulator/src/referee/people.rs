@@ -5,7 +5,7 @@ use armarium_values::report::{Block, Cell, Figure, Section, Table};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::probes::{Probe, figure};
+use super::probes::{Probe, cell, figure, of_each, table_of, things};
 use super::run::Run;
 use crate::physics::Touched;
 
@@ -15,11 +15,8 @@ const PERMITTED_N: f64 = 140.0;
 
 pub(super) const PROBE: Probe = Probe {
     name: "people",
-    measure: |run| {
-        let people = people(run);
-        (!people.is_empty()).then(|| serde_json::to_value(people).ok())?
-    },
-    asks: |own: &Value| own.as_array().map_or(&[][..], Vec::as_slice).iter().flat_map(asks).collect(),
+    measure: |run| of_each(&people(run)),
+    asks: |own| things(own).iter().flat_map(asks).collect(),
     section: |_, own| {
         let note = "How near the robot's arms came to each person, and the largest force between them.";
         vec![Section::new("People", note, vec![Block::Table(table(own))])]
@@ -56,15 +53,11 @@ fn asks(person: &Value) -> Vec<Figure> {
 }
 
 fn table(own: &Value) -> Table {
-    let mut table = Table::new(&["Person", "#Nearest", "#Touched with"]);
-    let row = |person: &Value| {
-        let number = |key: &str, factor: f64| person.get(key).and_then(Value::as_f64).map(|v| v * factor);
+    table_of(own, &["Person", "#Nearest", "#Touched with"], |person| {
         vec![
             Cell::Text(person["name"].as_str().unwrap_or_default().to_owned()),
-            Cell::optional(number("nearest_m", 1e3), "mm", 0),
-            Cell::optional(number("touched_with_n", 1.0), "N", 1),
+            cell(person, ("nearest_m", 1e3), "mm", 0),
+            cell(person, ("touched_with_n", 1.0), "N", 1),
         ]
-    };
-    table.rows = own.as_array().map_or(&[][..], Vec::as_slice).iter().map(row).collect();
-    table
+    })
 }

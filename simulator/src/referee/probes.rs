@@ -3,7 +3,8 @@
 //!
 //! The page of a report and the repository's own check ask the same figures the same, so that they cannot disagree.
 
-use armarium_values::report::{Figure, Requirement, Section};
+use armarium_values::report::{Cell, Figure, Requirement, Section, Table};
+use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::run::Run;
@@ -71,6 +72,28 @@ pub(super) fn figure(
 ) -> Figure {
     let value = own.get(key).and_then(Value::as_f64).map(|v| v * factor);
     Figure { group: group.into(), name: name.into(), value, unit: unit.into(), requirement, digits }
+}
+
+/// The figures of each of several things; `None` of nothing.
+pub(super) fn of_each<T: Serialize>(things: &[T]) -> Option<Value> {
+    (!things.is_empty()).then(|| serde_json::to_value(things).ok())?
+}
+
+/// The things whose figures [`of_each`] gives.
+pub(super) fn things(own: &Value) -> &[Value] {
+    own.as_array().map_or(&[], Vec::as_slice)
+}
+
+/// A table with a row for each of them.
+pub(super) fn table_of(own: &Value, titles: &[&str], row: impl FnMut(&Value) -> Vec<Cell>) -> Table {
+    let mut table = Table::new(titles);
+    table.rows = things(own).iter().map(row).collect();
+    table
+}
+
+/// The value at `key` times `factor`, as a cell.
+pub(super) fn cell(of: &Value, (key, factor): (&str, f64), unit: &'static str, digits: usize) -> Cell {
+    Cell::optional(of.get(key).and_then(Value::as_f64).map(|v| v * factor), unit, digits)
 }
 
 #[cfg(test)]

@@ -21,24 +21,24 @@ const MAX_ALIASED: usize = 200_000;
 const FEW_KEYS: usize = 12;
 
 /// Why a text gives no tree.
-pub(crate) enum Refusal {
+pub(crate) enum Unreadable {
     /// The text is YAML, but not what a file here may hold.
     Content { at: Span, message: String, help: String, remedy: Option<Remedy> },
     /// The text is no YAML.
     Syntax { at: Span },
 }
 
-fn refuse<T>(at: Span, message: impl Into<String>, help: &str) -> Result<T, Box<Refusal>> {
-    Err(Box::new(Refusal::Content { at, message: message.into(), help: help.to_owned(), remedy: None }))
+fn refuse<T>(at: Span, message: impl Into<String>, help: &str) -> Result<T, Box<Unreadable>> {
+    Err(Box::new(Unreadable::Content { at, message: message.into(), help: help.to_owned(), remedy: None }))
 }
 
-fn too_deep<T>(at: Span) -> Result<T, Box<Refusal>> {
+fn too_deep<T>(at: Span) -> Result<T, Box<Unreadable>> {
     refuse(at, "this is nested too deep", "states may be nested 60 levels deep")
 }
 
 /// The tree of a text with one document, which stands `depth` levels inside another, and whether each entry of its maps can be
 /// read by itself.
-pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Refusal>> {
+pub(crate) fn read(text: &str, depth: usize) -> Result<(Node, bool), Box<Unreadable>> {
     let mut options = granit_parser::Options::default();
     options.emit_comments = false;
     let parser = Parser::new_from_str_with_options(text, options);
@@ -89,7 +89,7 @@ struct TreeReader<'t> {
 }
 
 impl<'t> TreeReader<'t> {
-    fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Box<Refusal>> {
+    fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Box<Unreadable>> {
         match self.parser.next_event() {
             None => Ok(None),
             Some(Ok((event, span))) => {
@@ -101,13 +101,13 @@ impl<'t> TreeReader<'t> {
         }
     }
 
-    fn syntax<T>(&self, error: &ScanError) -> Result<T, Box<Refusal>> {
+    fn syntax<T>(&self, error: &ScanError) -> Result<T, Box<Unreadable>> {
         let start = self.offset(*error.marker());
         let at = Span { start, end: start + 1 };
         if matches!(error.kind(), ErrorKind::RecursionLimitExceeded) {
             return too_deep(at);
         }
-        Err(Box::new(Refusal::Syntax { at }))
+        Err(Box::new(Unreadable::Syntax { at }))
     }
 
     /// The byte at a marker; some markers know only how many characters are before them.
@@ -118,12 +118,12 @@ impl<'t> TreeReader<'t> {
     }
 
     /// For an event that the parser does not give in this place.
-    fn unexpected(at: Span) -> Box<Refusal> {
-        Box::new(Refusal::Syntax { at })
+    fn unexpected(at: Span) -> Box<Unreadable> {
+        Box::new(Unreadable::Syntax { at })
     }
 
     /// The node that begins with `event`.
-    fn node(&mut self, event: Event<'t>, at: Span, depth: usize) -> Result<Node, Box<Refusal>> {
+    fn node(&mut self, event: Event<'t>, at: Span, depth: usize) -> Result<Node, Box<Unreadable>> {
         self.nodes += 1;
         if self.nodes > MAX_NODES {
             return refuse(at, "it has too many parts", "put parts of it in files of their own");
@@ -154,7 +154,7 @@ impl<'t> TreeReader<'t> {
         Ok(node)
     }
 
-    fn list(&mut self, depth: usize) -> Result<Yaml, Box<Refusal>> {
+    fn list(&mut self, depth: usize) -> Result<Yaml, Box<Unreadable>> {
         let first = self.items.len();
         while let Some((event, at)) = self.next()? {
             if event == Event::SequenceEnd {
@@ -166,7 +166,7 @@ impl<'t> TreeReader<'t> {
         Ok(Yaml::List(self.items.drain(first..).collect()))
     }
 
-    fn map(&mut self, at: Span, depth: usize) -> Result<Node, Box<Refusal>> {
+    fn map(&mut self, at: Span, depth: usize) -> Result<Node, Box<Unreadable>> {
         let first = self.entries.len();
         let mut merged = Vec::new();
         let mut keys = BTreeSet::new();
@@ -190,7 +190,7 @@ impl<'t> TreeReader<'t> {
                 _ => !keys.insert(key.text.clone()),
             };
             if known {
-                return Err(Box::new(Refusal::Content {
+                return Err(Box::new(Unreadable::Content {
                     at: key.span,
                     message: format!("the key `{}` is there twice", key.text),
                     help: "remove one of them, or give it another name".to_owned(),
@@ -222,7 +222,7 @@ impl<'t> TreeReader<'t> {
         Ok(Node { span, value: Yaml::Map(entries) })
     }
 
-    fn key(&mut self, event: Event<'t>, at: Span) -> Result<Named, Box<Refusal>> {
+    fn key(&mut self, event: Event<'t>, at: Span) -> Result<Named, Box<Unreadable>> {
         let text = match event {
             Event::Scalar(text, _, anchor, tag) => {
                 if anchor > 0 {
@@ -245,7 +245,7 @@ impl<'t> TreeReader<'t> {
     }
 
     /// Refuses a key without `:` before a map in braces, which swallowed the brace: `A {skill: Act}`.
-    fn with_a_brace_in_it(&self, key: &Named, node: &Node) -> Result<(), Box<Refusal>> {
+    fn with_a_brace_in_it(&self, key: &Named, node: &Node) -> Result<(), Box<Unreadable>> {
         let written = self.text.get(key.span.start..key.span.end).unwrap_or("");
         let Some((name, inside)) = written.split_once(" {").filter(|_| written == key.text) else {
             return Ok(());
@@ -256,7 +256,7 @@ impl<'t> TreeReader<'t> {
         }
         let end = key.span.start + name.trim_end().len();
         let name = name.trim();
-        Err(Box::new(Refusal::Content {
+        Err(Box::new(Unreadable::Content {
             at: Span { start: key.span.start, end },
             message: format!("a `:` is missing after `{name}`"),
             help: format!("write `{name}: {{{inside}: {value}`"),
@@ -265,7 +265,7 @@ impl<'t> TreeReader<'t> {
     }
 
     /// Refuses a key between brackets without `:` that swallowed its value: `{final success}`, `{posture:home}`.
-    fn with_its_value_in_it(&self, key: &Named) -> Result<(), Box<Refusal>> {
+    fn with_its_value_in_it(&self, key: &Named) -> Result<(), Box<Unreadable>> {
         let written = self.text.get(key.span.start..key.span.end).unwrap_or("").trim_end();
         if written != key.text {
             return Ok(());
@@ -280,7 +280,7 @@ impl<'t> TreeReader<'t> {
                     && self.text[key.span.end..close - 1].trim().is_empty()
                     && !written.contains(quote)
             });
-            return Err(Box::new(Refusal::Content {
+            return Err(Box::new(Unreadable::Content {
                 at: key.span,
                 message: "an expression stands in quotes, without braces".to_owned(),
                 help: format!("write `{quoted}`"),
@@ -296,7 +296,7 @@ impl<'t> TreeReader<'t> {
         };
         let colon = if missing.starts_with('s') { ":" } else { "" };
         let right = format!("{name}: {}", value.trim());
-        Err(Box::new(Refusal::Content {
+        Err(Box::new(Unreadable::Content {
             at: key.span,
             message: format!("a {missing} `{name}{colon}`"),
             help: format!("write `{right}`"),
@@ -305,7 +305,7 @@ impl<'t> TreeReader<'t> {
     }
 
     /// A copy of what an anchor stands for, with the alias as its place.
-    fn alias(&mut self, anchor: usize, at: Span) -> Result<Node, Box<Refusal>> {
+    fn alias(&mut self, anchor: usize, at: Span) -> Result<Node, Box<Unreadable>> {
         let Some(node) = self.anchors.get(&anchor).cloned() else {
             return refuse(at, "this alias stands inside what it stands for", "write out what it stands for");
         };
@@ -314,7 +314,7 @@ impl<'t> TreeReader<'t> {
     }
 
     /// Counts the nodes of a copy.
-    fn repeat(&mut self, node: &Node, at: Span) -> Result<(), Box<Refusal>> {
+    fn repeat(&mut self, node: &Node, at: Span) -> Result<(), Box<Unreadable>> {
         self.aliased += size(node);
         if self.aliased > MAX_ALIASED {
             let help = "write out what they stand for, or use fewer of them";
@@ -325,7 +325,7 @@ impl<'t> TreeReader<'t> {
 }
 
 /// Adds the entries of a map, or of a list of maps, under `<<`, but for keys that are there already.
-fn merge(entries: &mut Vec<(Named, Node)>, merged: Node) -> Result<(), Box<Refusal>> {
+fn merge(entries: &mut Vec<(Named, Node)>, merged: Node) -> Result<(), Box<Unreadable>> {
     match merged.value {
         Yaml::Map(others) => {
             for (key, node) in others {
@@ -365,7 +365,7 @@ fn placed(node: Node, span: Span) -> Node {
     Node { span, value }
 }
 
-fn scalar(text: &str, style: ScalarStyle, tag: Option<&Tag>, span: Span) -> Result<Node, Box<Refusal>> {
+fn scalar(text: &str, style: ScalarStyle, tag: Option<&Tag>, span: Span) -> Result<Node, Box<Unreadable>> {
     let core = tag.and_then(Tag::core_suffix);
     let value = match (style, core) {
         (_, Some("str")) => Yaml::String(text.to_owned()),

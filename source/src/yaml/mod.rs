@@ -15,7 +15,7 @@ use crate::remedy::{Edit, Remedy, applied};
 use crate::span::Span;
 use crate::text::{KeptTree, Source};
 use errors::slip_near;
-use events::{Refusal, read};
+use events::{Unreadable, read};
 
 pub use crate::tree::{Entries, Named, Node, Yaml};
 #[cfg(test)]
@@ -43,8 +43,8 @@ pub fn parse(findings: &mut Findings) -> Option<Arc<Node>> {
         Err(refusal) => refusal,
     };
     let (at, message, help, mut remedy) = match *refusal {
-        Refusal::Content { at, message, help, remedy } => (at, message, Some(help), remedy),
-        Refusal::Syntax { at } => match slip_near(&source.text, at.start) {
+        Unreadable::Content { at, message, help, remedy } => (at, message, Some(help), remedy),
+        Unreadable::Syntax { at } => match slip_near(&source.text, at.start) {
             Some(slip) => {
                 let remedy = (!slip.edits.is_empty()).then_some(Remedy::Replace(slip.edits));
                 (slip.span, slip.message, Some(slip.help), remedy)

@@ -12,7 +12,7 @@ use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{Arm, Senses, moves_the_arm, workspace};
+use crate::arm::{LeasedArm, Senses, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, marker};
@@ -62,7 +62,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let mut arm = Arm::take(&equipment, &context, &[]).await?;
+    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
     let (works, hand) = (
         workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?,
@@ -118,7 +118,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("residual", fit.rms))
 }
 
-async fn go(arm: &mut Arm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(), Failure> {
+async fn go(arm: &mut LeasedArm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(), Failure> {
     let mut line = StraightLine::new(arm.tcp(&senses.newest()), tcp, 0.2).map_err(failed)?;
     while !line.rested(0.3) {
         let (sample, dt) = senses.next().await?;
@@ -152,7 +152,7 @@ impl MarkerWatcher {
     async fn look(
         &mut self,
         equipment: &Equipment,
-        arm: &mut Arm,
+        arm: &mut LeasedArm,
         senses: &mut Senses,
     ) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
         let (mut seen, mut expected, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);

@@ -7,7 +7,7 @@ use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManife
 use armarium_values::{Type, Unit};
 use nalgebra::Isometry3;
 
-use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::around::{Around, follow};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
@@ -46,7 +46,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         timeout: context.number("timeout")?,
     };
     let speed = context.number("speed")?;
-    let mut arm = Arm::take(&equipment, &context, &[target]).await?;
+    let mut arm = LeasedArm::take(&equipment, &context, &[target]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (model, now) = (equipment.robot.model(), senses.newest().position.clone());
     let around = Around::of(&equipment, arm.limb(), arm.leases(), &now, Some(&target)).await?;
@@ -71,7 +71,7 @@ pub(crate) struct Reached {
 
 /// Moves the TCP to `target` (root frame) on a straight line at `speed`, m/s. The outcome contains the final pose.
 pub(crate) async fn move_to(
-    arm: &mut Arm,
+    arm: &mut LeasedArm,
     senses: &mut Senses,
     target: Isometry3<f64>,
     speed: f64,

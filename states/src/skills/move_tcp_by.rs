@@ -5,7 +5,7 @@ use std::sync::Arc;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 use crate::skills::move_tcp::{Reached, move_to};
@@ -32,7 +32,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         timeout: context.number("timeout")?,
     };
     let speed = context.number("speed")?;
-    let mut arm = Arm::take(&equipment, &context, &[]).await?;
+    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut target = arm.tcp(&senses.newest());
     target.translation.vector += offset;

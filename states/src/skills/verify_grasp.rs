@@ -9,7 +9,7 @@ use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp};
@@ -46,7 +46,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let object = context.entity("object")?;
     let class = class_of(&*equipment.memory, &object).await?;
-    let mut arm = Arm::take(&equipment, &context, &[]).await?;
+    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
 
     let model = equipment.robot.model();
@@ -122,7 +122,7 @@ impl ObjectDetection {
 /// matched as one.
 async fn look(
     equipment: &Equipment,
-    arm: &mut Arm,
+    arm: &mut LeasedArm,
     senses: &mut Senses,
     color: [u8; 3],
     (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),

@@ -14,7 +14,7 @@ use armarium_visionx::{
 };
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
-use crate::arm::{Arm, Senses, moves_the_arm, tcp_of};
+use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp, marker};
@@ -50,7 +50,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let mut arm = Arm::take(&equipment, &context, &[context.pose("target")?]).await?;
+    let mut arm = LeasedArm::take(&equipment, &context, &[context.pose("target")?]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut sight = Detections::new(&equipment, &context, arm.limb()).await?;
     let over = context.pose("pre_pose")?.translation.vector - context.pose("target")?.translation.vector;
@@ -64,7 +64,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 async fn servo(
     equipment: &Equipment,
     context: &SkillContext,
-    arm: &mut Arm,
+    arm: &mut LeasedArm,
     senses: &mut Senses,
     sight: &mut Detections,
     over: Vector3<f64>,

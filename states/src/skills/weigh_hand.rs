@@ -6,7 +6,7 @@ use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, Skill
 use armarium_values::{Type, Unit};
 use nalgebra::Vector3;
 
-use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -21,7 +21,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let duration = context.number("duration")?;
-    let mut arm = Arm::take(&equipment, &context, &[]).await?;
+    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let force = mean_force(&mut arm, &mut senses, duration).await?;
     Ok(Outcome::success().with("force", force.z))
@@ -29,7 +29,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
 /// The mean compensated wrist force over `duration` s with the arm at rest, root frame, N.
 pub(crate) async fn mean_force(
-    arm: &mut Arm,
+    arm: &mut LeasedArm,
     senses: &mut Senses,
     duration: f64,
 ) -> Result<Vector3<f64>, armarium_runtime::skill::Failure> {
