@@ -3,7 +3,7 @@
 use armarium_robot::Mesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::raster::{Bounds, Canvas, Colors, Form, Lanes, Line, ScanLine, Span, lanes};
+use super::raster::{Bounds, Canvas, Colors, Form, Lanes, Line, ScanLine, Span, lanes, nearest};
 use super::scene::Background;
 use super::shading::{Light, MOTTLING, Shades};
 
@@ -254,7 +254,7 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
                 let (local, wall) = (local.run(row, first), &wall);
                 move |k, near| {
                     let [x, y] = local.lanes(across, k, near);
-                    let mottle = MOTTLING.lanes(&x.map(|x| x * 60.0), &y.map(|y| y * 60.0));
+                    let mottle = MOTTLING.lanes(&x.map(|x| x * 60.0 + 8192.0), &y.map(|y| y * 60.0 + 8192.0));
                     wall.lanes(&mottle.map(|mottle| base + 0.5 * ROOM_MOTTLING * mottle))
                 }
             });
@@ -265,11 +265,10 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
 /// The floor's colours at some points, m.
 #[inline(always)]
 fn floor_tiles(floor: &Shades, [x, y]: [Lanes; 2]) -> Colors {
-    let mottle = MOTTLING.lanes(&x.map(|x| x * 100.0), &y.map(|y| y * 100.0));
+    let mottle = MOTTLING.lanes(&x.map(|x| x * 100.0 + 8192.0), &y.map(|y| y * 100.0 + 8192.0));
     let beside = |v: f32| {
         let tiles = v * (1.0 / TILE) + 1024.0;
-        let part = tiles - (tiles as i32) as f32;
-        !(JOINT..=1.0 - JOINT).contains(&part)
+        (tiles - nearest(tiles) as f32).abs() < JOINT
     };
     floor.lanes(&lanes(|i| {
         let mottle = 0.92 + ROOM_MOTTLING * mottle[i];

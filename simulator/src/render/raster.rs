@@ -26,6 +26,14 @@ pub(super) fn lanes<T>(f: impl FnMut(usize) -> T) -> [T; CHUNK] {
     std::array::from_fn(f)
 }
 
+/// The whole number nearest to a value from 0 to 2^22, and any number for other values. Vector instructions do it, which
+/// they do not for a cast, as that has a rule for every other value.
+#[inline(always)]
+pub(super) fn nearest(value: f32) -> u32 {
+    const FRACTIONLESS: f32 = (1 << 23) as f32;
+    (value + FRACTIONLESS).to_bits() & 0x007f_ffff
+}
+
 /// Colours and inverse depths of one picture.
 pub(super) struct Canvas {
     camera: PinholeCamera,

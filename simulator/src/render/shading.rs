@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use nalgebra::{Isometry3, Vector3};
 
-use super::raster::{Colors, Lanes, lanes};
+use super::raster::{Colors, Lanes, lanes, nearest};
 
 /// Brightness of a face that gets no direct light.
 const AMBIENT: f32 = 0.45;
@@ -65,8 +65,8 @@ impl Shades {
     /// The colours at some brightnesses.
     #[inline(always)]
     pub(super) fn lanes(&self, brightness: &Lanes) -> Colors {
-        let index = lanes(|i| (brightness[i] * FULL + 0.5) as u8);
-        lanes(|i| self.0[usize::from(index[i])])
+        let index = lanes(|i| nearest((brightness[i] * FULL).clamp(0.0, 255.0)) & 255);
+        lanes(|i| self.0[index[i] as usize])
     }
 }
 
@@ -99,12 +99,12 @@ impl Mottling {
         Self { values: Box::new(std::array::from_fn(|y| std::array::from_fn(|x| value(x, y)))) }
     }
 
-    /// The values at some points, in texels: between about -1 and 1, mostly within 0.5.
+    /// The values at some points, in texels from 0 on: between about -1 and 1, mostly within 0.5.
     #[inline(always)]
     pub(super) fn lanes(&self, x: &Lanes, y: &Lanes) -> Lanes {
-        let column = lanes(|i| x[i] as i32 as usize % TEXELS);
-        let row = lanes(|i| y[i] as i32 as usize % TEXELS);
-        lanes(|i| f32::from(self.values[row[i]][column[i]]) * (1.0 / 127.0))
+        let column = lanes(|i| nearest(x[i]) % TEXELS as u32);
+        let row = lanes(|i| nearest(y[i]) % TEXELS as u32);
+        lanes(|i| f32::from(self.values[row[i] as usize][column[i] as usize]) * (1.0 / 127.0))
     }
 }
 

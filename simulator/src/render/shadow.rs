@@ -5,7 +5,7 @@
 
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
-use super::raster::{Lanes, lanes};
+use super::raster::{Lanes, lanes, nearest};
 use super::scene::{Geometry, Scene, Shape};
 
 /// Edge of a cell, m.
@@ -73,14 +73,15 @@ impl Shadow {
     pub(super) fn lanes(&self, x: &Lanes, y: &Lanes) -> Lanes {
         let axis = |value: f32, half: f32, per_metre: f32, cells: usize| {
             let at = ((value + half) * per_metre).max(0.0);
-            let cell = (at as i32).min(cells as i32 - 1);
-            (cell as usize, at - cell as f32)
+            let cell = nearest((at - 0.5).max(0.0)).min(cells as u32 - 1);
+            (cell, at - cell as f32)
         };
         let u = lanes(|i| axis(x[i], self.half[0], self.cells_per_metre[0], self.columns));
         let v = lanes(|i| axis(y[i], self.half[1], self.cells_per_metre[1], self.rows));
         let below = self.columns + 1;
         lanes(|i| {
             let ((column, s), (row, t)) = (u[i], v[i]);
+            let (column, row) = (column as usize, row as usize);
             let Some(cell) = self.light.get(row * below + column..).filter(|cell| cell.len() > below + 1)
             else {
                 return 1.0;

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::faces::{Face, Local, LocalRun, SIDES};
-use super::raster::{Canvas, Colors, Lanes, lanes};
+use super::raster::{Canvas, Colors, Lanes, lanes, nearest};
 use super::scene::{Bump, DirtTexture};
 use super::shading::{Light, MOTTLING, Shades, brightness, mix};
 use super::shadow::Shadow;
@@ -88,10 +88,10 @@ impl<'a> Surface<'a> {
         let bright = lanes(|i| brightness[i] * light[i] * (1.0 + GRAIN * grain[i]));
         let clean = self.shades.lanes(&bright);
         let Some(dirt) = &self.dirt else { return clean };
-        let cell = |value: f32, half: f32, per_metre: f32| ((value + half) * per_metre) as i32 as usize;
+        let cell = |value: f32, half: f32, per_metre: f32| nearest((value + half) * per_metre - 0.5);
         let column = lanes(|i| cell(x[i], self.half[0], dirt.cells_per_metre[0]));
         let row = lanes(|i| cell(y[i], self.half[1], dirt.cells_per_metre[1]));
-        let amount = lanes(|i| dirt.texture.cell(column[i], row[i]));
+        let amount = lanes(|i| dirt.texture.cell(column[i] as usize, row[i] as usize));
         if amount.iter().all(|amount| *amount == 0) {
             return clean;
         }
