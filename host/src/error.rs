@@ -85,8 +85,8 @@ pub enum HostError {
         /// The cause.
         source: std::io::Error,
     },
-    /// The folder holds runs of another chart or with other arguments.
-    #[error("`{path}` holds another sweep: give another --out, or remove it")]
+    /// The folder holds runs of another chart, with other arguments, or with files that have changed since.
+    #[error("`{path}` holds another sweep, or its chart, world or robot has changed since: give another --out, or remove it")]
     OtherSweep {
         /// The folder.
         path: PathBuf,

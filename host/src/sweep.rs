@@ -13,6 +13,7 @@ use armarium_values::report::{Block, Cell, Column, Figure, Section, Table};
 use armarium_viewer::report::{self, ReportData};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 
 use crate::error::HostError;
 
@@ -191,7 +192,8 @@ fn choices(config: &SweepConfig) -> Vec<Choice> {
 fn runs_of(folder: &Path, config: &SweepConfig) -> Result<Vec<Run>, HostError> {
     let path = folder.join(RUNS);
     // Seeds and values may be added to a sweep; what all runs share may not change.
-    let shared = serde_json::json!({"chart": config.chart, "arguments": config.arguments});
+    let files: BTreeMap<String, String> = files(config).collect();
+    let shared = serde_json::json!({"chart": config.chart, "arguments": config.arguments, "files": files});
     let text = match std::fs::read_to_string(&path) {
         Ok(text) => text,
         Err(error) if error.kind() == ErrorKind::NotFound => {
@@ -210,6 +212,16 @@ fn runs_of(folder: &Path, config: &SweepConfig) -> Result<Vec<Run>, HostError> {
         std::fs::write(&path, whole).map_err(|e| file_error(&path, e))?;
     }
     Ok(lines.filter_map(|line| serde_json::from_str(line).ok()).collect())
+}
+
+/// The files that are named for all runs, and the world beside the chart, each with the digest of what it holds.
+fn files(config: &SweepConfig) -> impl Iterator<Item = (String, String)> {
+    let beside = config.chart.with_extension("world.yaml");
+    let named = config.arguments.iter().map(PathBuf::from).chain([config.chart.clone(), beside]);
+    named.filter_map(|path| {
+        let digest = Sha256::digest(std::fs::read(&path).ok()?);
+        Some((path.display().to_string(), digest.iter().map(|byte| format!("{byte:02x}")).collect()))
+    })
 }
 
 /// One run, in a process of its own.
@@ -473,6 +485,20 @@ mod tests {
         assert!(std::fs::read_to_string(&path).expect("it is there").ends_with("}\n"));
         let other = SweepConfig { chart: "d.yaml".into(), ..config };
         assert!(matches!(runs_of(folder.path(), &other), Err(HostError::OtherSweep { .. })));
+    }
+
+    #[test]
+    fn a_sweep_does_not_go_on_with_another_world() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let world = folder.path().join("a.world.yaml");
+        std::fs::write(&world, "world: a").expect("it can be written");
+        let arguments = vec!["--world".into(), world.display().to_string()];
+        let config = SweepConfig { arguments, ..config() };
+        for _ in 0..2 {
+            assert!(runs_of(folder.path(), &config).expect("it is the same sweep").is_empty());
+        }
+        std::fs::write(&world, "world: b").expect("it can be written");
+        assert!(matches!(runs_of(folder.path(), &config), Err(HostError::OtherSweep { .. })));
     }
 
     #[test]
