@@ -86,7 +86,9 @@ pub enum HostError {
         source: std::io::Error,
     },
     /// The folder holds runs of another chart, with other arguments, or with files that have changed since.
-    #[error("`{path}` holds another sweep, or its chart, world or robot has changed since: give another --out, or remove it")]
+    #[error(
+        "`{path}` holds another sweep, or its chart, world or robot has changed since: give another --out, or remove it"
+    )]
     OtherSweep {
         /// The folder.
         path: PathBuf,
