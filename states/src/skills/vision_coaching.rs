@@ -8,7 +8,6 @@ use armarium_motion::CoachInput;
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 use armarium_visionx::HandObservation;
-use nalgebra::Vector3;
 
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
@@ -81,13 +80,12 @@ fn input_of(gesture: &str, hand: &Value) -> CoachInput {
 /// detection of the hand.
 ///
 /// The robot's own arm passes between its cameras and the coach's hand in each cycle and hides a part of it.
-/// Detections of the visible rest have a wrong gesture and place, and get little weight. So does a finger that
-/// points elsewhere in each picture: it is none.
+/// Detections of the visible rest have a wrong gesture and place, and get little weight.
 struct GestureFilter {
     gesture: String,
     hand: Value,
-    /// What speaks for each gesture; decays over time.
-    seen: BTreeMap<String, Evidence>,
+    /// How long each gesture has been clearly visible, s; decays over time.
+    seen: BTreeMap<String, f64>,
     /// How long there has been no hand, s.
     gone: f64,
 }
@@ -95,38 +93,6 @@ struct GestureFilter {
 impl Default for GestureFilter {
     fn default() -> Self {
         Self { gesture: NO_HAND.into(), hand: Value::Null, seen: BTreeMap::new(), gone: 0.0 }
-    }
-}
-
-/// What speaks for a gesture.
-#[derive(Default)]
-struct Evidence {
-    /// How long it has been clearly visible, s.
-    visible: f64,
-    /// How long it has pointed somewhere, s.
-    pointing: f64,
-    /// The sum of the directions, each times how long, s.
-    direction: Vector3<f64>,
-}
-
-impl Evidence {
-    fn decay(&mut self, share: f64) {
-        self.visible *= 1.0 - share;
-        self.pointing *= 1.0 - share;
-        self.direction *= 1.0 - share;
-    }
-
-    fn add(&mut self, seconds: f64, direction: Option<Vector3<f64>>) {
-        self.visible = (self.visible + seconds).min(GestureFilter::MAX_ACCUMULATED);
-        if let Some(direction) = direction.and_then(|direction| direction.try_normalize(0.5)) {
-            self.pointing += seconds;
-            self.direction += direction * seconds;
-        }
-    }
-
-    /// The time for which it has been visible, less as its directions contradict each other, s.
-    fn weight(&self) -> f64 {
-        if self.pointing > 0.0 { self.visible * self.direction.norm() / self.pointing } else { self.visible }
     }
 }
 
@@ -161,12 +127,11 @@ impl GestureFilter {
         let hidden = number("hidden").is_some_and(|share| share >= HandObservation::HIDDEN);
         if number("confidence").is_none_or(|c| c >= Self::MIN_CONFIDENCE) {
             let counts = if hidden { Self::HIDDEN_COUNTS } else { 1.0 };
-            self.seen.values_mut().for_each(|evidence| evidence.decay(counts * dt / Self::DECAY));
-            let direction = hand.as_ref().and_then(|hand| hand.get("direction")).and_then(as_vector);
-            self.seen.entry(seen.to_owned()).or_default().add(counts * dt, direction);
-            let weights = self.seen.iter().map(|(gesture, evidence)| (gesture, evidence.weight()));
-            let most = weights.max_by(|a, b| a.1.total_cmp(&b.1));
-            if let Some((gesture, _)) = most.filter(|(_, weight)| *weight >= Self::MIN_VISIBLE) {
+            self.seen.values_mut().for_each(|time| *time *= 1.0 - counts * dt / Self::DECAY);
+            let time = self.seen.entry(seen.to_owned()).or_default();
+            *time = (*time + counts * dt).min(Self::MAX_ACCUMULATED);
+            let longest = self.seen.iter().max_by(|a, b| a.1.total_cmp(b.1));
+            if let Some((gesture, _)) = longest.filter(|(_, time)| **time >= Self::MIN_VISIBLE) {
                 self.gesture.clone_from(gesture);
             }
         }
@@ -186,7 +151,7 @@ mod tests {
     #[test]
     fn what_is_read_of_a_half_hidden_hand_changes_neither_gesture_nor_place() {
         let at = |gesture: &str, x: f64| {
-            let position = Value::Vector(Vector::new(Frame::root(), &Vector3::new(x, 0.0, 0.0)));
+            let position = Value::Vector(Vector::new(Frame::root(), &nalgebra::Vector3::new(x, 0.0, 0.0)));
             Some(Value::record([("gesture", Value::from(gesture)), ("position", position)]))
         };
         let mut filter = GestureFilter::default();
@@ -194,7 +159,7 @@ mod tests {
             let steps = (seconds * 1e3) as usize;
             (0..steps).map(|_| filter.update(1e-3, hand.clone())).last()
         };
-        let fist = Some(CoachInput::Attract { hand: Vector3::new(0.3, 0.0, 0.0) });
+        let fist = Some(CoachInput::Attract { hand: nalgebra::Vector3::new(0.3, 0.0, 0.0) });
         let with = |hand: Option<Value>, name: &str, value: f64| match hand {
             Some(Value::Map(mut fields)) => {
                 fields.insert(name.into(), Value::Float(value));
@@ -210,35 +175,8 @@ mod tests {
         assert_eq!(after(0.2, None), fist, "hidden for some frames");
         assert_eq!(after(3.0, with(at("point_two", 0.2), "confidence", 0.5)), fist, "doubtful");
         assert_eq!(after(3.0, with(at("point_two", 0.2), "hidden", 0.2)), fist, "hidden for long");
-        let pair = Some(CoachInput::Repel { hand: Vector3::new(0.2, 0.0, 0.0) });
+        let pair = Some(CoachInput::Repel { hand: nalgebra::Vector3::new(0.2, 0.0, 0.0) });
         assert_eq!(after(2.5, at("point_two", 0.2)), pair, "changed");
         assert_eq!(after(0.5, None), Some(CoachInput::None), "gone");
-    }
-
-    #[test]
-    fn a_finger_that_points_elsewhere_each_time_is_none() {
-        let vector = |x, y| Value::Vector(Vector::new(Frame::root(), &Vector3::new(x, y, 0.0)));
-        let hand = |gesture: &str, x: f64, y: f64| {
-            let fields = [
-                ("gesture", Value::from(gesture)),
-                ("position", vector(0.3, 0.0)),
-                ("direction", vector(x, y)),
-            ];
-            Some(Value::record(fields))
-        };
-        let shown = |turned: f64| {
-            let mut filter = GestureFilter::default();
-            let mut input = CoachInput::None;
-            for time in 0..8 {
-                // A little longer one finger than a fist.
-                let (y, x) = (turned * f64::from(time)).sin_cos();
-                for (steps, hand) in [(300, hand("point_one", x, y)), (250, hand("fist", 0.0, 0.0))] {
-                    (0..steps).for_each(|_| input = filter.update(1e-3, hand.clone()));
-                }
-            }
-            input
-        };
-        assert!(matches!(shown(0.05), CoachInput::Shift { .. }), "{:?}", shown(0.05));
-        assert!(matches!(shown(1.5), CoachInput::Attract { .. }), "{:?}", shown(1.5));
     }
 }

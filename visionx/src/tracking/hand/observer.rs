@@ -32,6 +32,38 @@ struct LastHand {
     pointing: Option<Vector3<f64>>,
     /// The palm when the hand was last fully visible.
     palm: Option<Palm>,
+    lone: LoneFinger,
+}
+
+/// Where a finger that is the only one has pointed in the last frames. One that points elsewhere each time is none, but an edge of
+/// a fist, now this one and now that.
+#[derive(Clone, Copy, Debug, Default)]
+struct LoneFinger {
+    /// The number of frames that had one, and the sum of its directions in the root frame; both decay.
+    frames: f64,
+    directions: Vector3<f64>,
+}
+
+impl LoneFinger {
+    fn decay(&mut self) {
+        self.frames *= 1.0 - FADES;
+        self.directions *= 1.0 - FADES;
+    }
+
+    fn add(&mut self, direction: &Vector3<f64>) {
+        self.decay();
+        self.frames += 1.0;
+        self.directions += direction;
+    }
+
+    /// From 1, when all directions are one, to 0, when they are as far apart as two that stand 120 degrees to each other.
+    fn agreement(&self) -> f64 {
+        if self.frames > 0.0 {
+            (2.0 * self.directions.norm() / self.frames - 1.0).clamp(0.0, 1.0)
+        } else {
+            1.0
+        }
+    }
 }
 
 /// The palm of a fully visible hand.
@@ -55,6 +87,10 @@ const MIN_LIKELIHOOD: f64 = 0.04;
 /// Weight of a frame with a hidden hand for the gesture, relative to a fully visible one. Not zero, so that a hand
 /// that is never fully visible still gets a gesture after some time.
 const HIDDEN_COUNTS: f64 = 0.03;
+/// The share that a frame's finger loses of its weight with each frame that comes after it.
+const FADES: f64 = 0.02;
+/// Place of [`Gesture::PointOne`] in [`Gesture::ALL`].
+const POINT_ONE: usize = 2;
 /// A hidden hand that did not move keeps its palm for this long, ns, unless the visible rest is farther away than
 /// this, m.
 const SAME_PLACE: (u64, f64) = (1_200_000_000, 0.12);
@@ -110,15 +146,23 @@ impl HandObserver {
             palm.map_or(seen_palm, |p| frame.root_from_left.inverse_transform_point(&p.in_root));
 
         let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
-        let belief =
-            self.update_belief(&self.likelihoods(shape, &fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
+        let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
+        let points = whole && (1..=2).contains(&stretched.len());
+        let direction = if points { direction(&ranging, &stretched) } else { None };
+        let mut lone = self.memory.as_ref().map_or_else(LoneFinger::default, |memory| memory.lone);
+        if let Some(direction) = direction.filter(|_| stretched.len() == 1) {
+            lone.add(&(frame.root_from_left * direction));
+        } else if whole {
+            lone.decay();
+        }
+        let mut likelihoods = self.likelihoods(shape, &fingers);
+        likelihoods[POINT_ONE] *= lone.agreement();
+        let belief = self.update_belief(&likelihoods, if whole { 1.0 } else { HIDDEN_COUNTS });
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
-        let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
-        let direction = match (gesture, stretched.len()) {
-            (Gesture::PointOne, 1) | (Gesture::PointTwo, 2) if whole => direction(&ranging, &stretched),
-            _ => None,
-        };
+        let direction = direction.filter(|_| {
+            matches!((gesture, stretched.len()), (Gesture::PointOne, 1) | (Gesture::PointTwo, 2))
+        });
         let fingertips = stretched
             .iter()
             .map(|f| Fingertip {
@@ -135,6 +179,7 @@ impl HandObserver {
             skin: hand.skin,
             pointing: pointing.map(|p| frame.root_from_left * p),
             palm,
+            lone,
         });
         Some(HandObservation {
             gesture,
@@ -311,6 +356,25 @@ mod tests {
             assert_eq!(seen.gesture, Gesture::PointTwo, "frame {i}");
             assert!((seen.palm_in_left - whole.palm_in_left).norm() < 1e-9, "frame {i}");
         }
+    }
+
+    #[test]
+    fn a_finger_that_points_elsewhere_each_time_is_none() {
+        let mut lone = LoneFinger::default();
+        assert_eq!(lone.agreement(), 1.0);
+        for frame in 0..100 {
+            lone.add(&Vector3::new(
+                (0.1 * f64::from(frame % 3)).cos(),
+                (0.1 * f64::from(frame % 3)).sin(),
+                0.0,
+            ));
+        }
+        assert!(lone.agreement() > 0.98, "it trembles: {}", lone.agreement());
+        for frame in 0..100 {
+            lone.add(&if frame % 20 < 10 { Vector3::x() } else { -Vector3::y() });
+        }
+        assert!(lone.agreement() < 0.6, "{}", lone.agreement());
+        assert_eq!(Gesture::ALL[POINT_ONE], Gesture::PointOne);
     }
 
     #[test]
