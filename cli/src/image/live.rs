@@ -20,9 +20,9 @@ use nalgebra::UnitQuaternion;
 use serde_json::json;
 use tokio::sync::mpsc;
 
-use super::{Failure, ProcessArgs, argument, failed, findings, source};
+use super::{Failure, ProcessArgs, argument, failed, source};
 use crate::stopped::stopped;
-use armarium_host::Connection;
+use armarium_host::{Connection, image_findings};
 use parking_lot::Mutex;
 
 /// Findings that may wait to be printed and committed.
@@ -193,13 +193,13 @@ async fn tell(
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     while let Some((source, finding)) = told.recv().await {
-        writeln!(out, "{}", findings::line(&source, &finding))?;
+        writeln!(out, "{}", image_findings::line(&source, &finding))?;
         let Some((memory, updater)) = &remembers else { continue };
-        let observations = findings::observations(&source, &finding, frame_id);
+        let observations = image_findings::observations(&source, &finding, frame_id);
         if !observations.is_empty() {
             updater.update(&observations).await.map_err(failed)?;
         }
-        if let Some(commit) = findings::surroundings(&source, &finding).map_err(failed)? {
+        if let Some(commit) = image_findings::surroundings(&source, &finding).map_err(failed)? {
             memory.commit(vec![commit]).await.map_err(failed)?;
         }
     }

@@ -1,4 +1,4 @@
-//! Converts a processor's findings to lines of JSON and to observations for a memory. It knows neither the processors
+//! What a processor of images found, as a line of JSON and as observations for a memory. It knows neither the processors
 //! nor the memory.
 
 use std::collections::BTreeMap;
@@ -17,7 +17,8 @@ const PALM: f64 = 1e-4;
 const THING: f64 = 0.8;
 
 /// A finding as a line of JSON.
-pub(super) fn line(source: &FindingSource, finding: &Finding) -> Json {
+#[must_use]
+pub fn line(source: &FindingSource, finding: &Finding) -> Json {
     let mut line = json!({"provider": source.provider, "stamp_ns": source.stamp_ns});
     line[source.processor.as_str()] = match finding {
         Finding::Hand(Some(hand)) => json!({
@@ -59,7 +60,8 @@ fn pose(pose: &Isometry3<f64>) -> [f64; 6] {
 
 /// The observations of positions in a finding; empty without one. Those in a camera's frame have the frame
 /// `frame_id`.
-pub(super) fn observations(source: &FindingSource, finding: &Finding, frame_id: &str) -> Vec<Observation> {
+#[must_use]
+pub fn observations(source: &FindingSource, finding: &Finding, frame_id: &str) -> Vec<Observation> {
     let observed =
         |class: &str, frame: &str, position: &Vector3<f64>, covariance: &Matrix3<f64>| Observation {
             class: class.to_owned(),
@@ -110,7 +112,7 @@ fn attributes_of(object: &TableObject) -> BTreeMap<String, Value> {
 ///
 /// # Errors
 /// [`MemoryError::Name`] when the processor's name is not valid in an address.
-pub(super) fn surroundings(source: &FindingSource, finding: &Finding) -> Result<Option<Commit>, MemoryError> {
+pub fn surroundings(source: &FindingSource, finding: &Finding) -> Result<Option<Commit>, MemoryError> {
     let Finding::Tabletop(Some(Tabletop { table, .. })) = finding else { return Ok(None) };
     let id = EntityId::new("EnvironmentModels", &source.processor, "table")?;
     let pose = Value::Pose(Pose::new(Frame::from("root"), &table.root_from_table));
