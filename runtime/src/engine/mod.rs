@@ -25,8 +25,8 @@ use std::sync::Arc;
 use armarium_values::Value;
 
 pub(crate) use circle::{Circle, RECORDED_BEFORE_BOUND};
-pub use interface::{Effect, Input, NoSensors, Observation, RunResult, Sensors};
-pub use record::{InputRecord, Recording, Replaying, SensorReading};
+pub use interface::{Effect, Input, NoSensors, RunResult, Sensors, WatchSample};
+pub use record::{InputRecord, RecordingSensors, Replaying, SensorReading};
 
 use crate::program::{
     Code, ERROR_CHANNEL, EventId, EventNumber, FAILURE, Instance, Program, StateId, Variable,
@@ -225,7 +225,7 @@ impl Engine {
 
     /// Samples a watch: whether its condition holds now, and whether it may fire again (`until`, or the condition's
     /// end).
-    pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> Observation {
+    pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> WatchSample {
         let watch = &self.program.watches[watch as usize];
         let view = RunContext { program: &self.program, store: &self.store, runs: &self.runs, sensors };
         let (mut error, mut blind) = (None, None);
@@ -240,7 +240,7 @@ impl Engine {
         };
         let holds = look(&watch.condition);
         let until = watch.until.as_ref().map_or(!holds, &mut look);
-        Observation { holds, until, error, blind }
+        WatchSample { holds, until, error, blind }
     }
 
     /// The program that this engine runs.
