@@ -103,11 +103,24 @@ impl Engine {
         if let Some(Value::Map(why)) = here.or(before.map(|(data, _)| data)) {
             for key in ["reason", "chain"] {
                 if let (false, Some(value)) = (fields.contains_key(key), why.get(key)) {
-                    fields.insert(key.to_owned(), value.clone());
+                    let own = key == "reason" && here.is_some();
+                    let said = if own { self.by_outcome(outcome, value, program) } else { None };
+                    fields.insert(key.to_owned(), said.unwrap_or_else(|| value.clone()));
                 }
             }
         }
         Value::Map(fields)
+    }
+
+    /// The reason of a failure that an outcome with another name led to: it says which.
+    fn by_outcome(&self, outcome: EventNumber, reason: &Value, program: &Program) -> Option<Value> {
+        let event = self.store.event.as_ref()?;
+        let Origin::Outcome { state, .. } = event.origin else { return None };
+        if outcome != FAILURE || event.number == FAILURE {
+            return None;
+        }
+        let (from, name, why) = (program.path(state), event.name(program), reason.as_str()?);
+        Some(format!("`{from}` ended with `{name}`: {why}").into())
     }
 
     /// How a failure without a reason of its own was reached.
