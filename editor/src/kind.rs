@@ -39,7 +39,7 @@ pub struct Catalog {
 
 /// What checking a file gave.
 #[derive(Debug)]
-pub struct Checked {
+pub struct CheckedFile {
     /// Everything that is wrong, also in files that it names.
     pub findings: Vec<Finding>,
     /// Of a chart: the chart with the charts that it names.
@@ -109,9 +109,9 @@ impl FileKind {
 ///
 /// `folders` are those where charts find other charts besides their own. A file that cannot be read is a finding.
 #[must_use]
-pub fn check(path: &Path, folders: &[PathBuf], files: &dyn Files, catalog: &Catalog) -> Checked {
+pub fn check(path: &Path, folders: &[PathBuf], files: &dyn Files, catalog: &Catalog) -> CheckedFile {
     match files.read(path) {
-        Err(finding) => Checked { findings: vec![*finding], library: None },
+        Err(finding) => CheckedFile { findings: vec![*finding], library: None },
         Ok(source) => {
             let kind = FileKind::of(path, &source.text).unwrap_or(FileKind::Chart);
             check_as(kind, source, folders, files, catalog)
@@ -127,19 +127,19 @@ pub(crate) fn check_as(
     folders: &[PathBuf],
     files: &dyn Files,
     catalog: &Catalog,
-) -> Checked {
+) -> CheckedFile {
     let read = match kind {
         FileKind::Chart => {
             let library = chart::load_from(&source.path.clone(), folders, files);
             let findings = chart::check(&library, &catalog.registry, &catalog.channels).findings;
-            return Checked { findings, library: Some(library) };
+            return CheckedFile { findings, library: Some(library) };
         }
         FileKind::World => World::read(source, 1).map(drop),
         FileKind::Test => check_test(source, folders, files, catalog),
-        FileKind::Robot => return Checked { findings: description::check(source, files), library: None },
+        FileKind::Robot => return CheckedFile { findings: description::check(source, files), library: None },
         FileKind::Object | FileKind::Scene => Err(prior::file::check(&source, files)),
     };
-    Checked { findings: read.err().unwrap_or_default(), library: None }
+    CheckedFile { findings: read.err().unwrap_or_default(), library: None }
 }
 
 /// A file of test cases by itself, and held against its chart.

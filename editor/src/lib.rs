@@ -29,7 +29,7 @@ mod uri;
 mod workspace;
 
 pub use format::format;
-pub use kind::{Catalog, Checked, FileKind, check};
+pub use kind::{Catalog, CheckedFile, FileKind, check};
 pub use lsp_types;
 pub use rename::RenameError;
 pub use server::{ServerError, serve, serve_stdio};

@@ -2,7 +2,7 @@
 //!
 //! Each experiment is a file: its settings with their defaults (`settings!`), and an
 //! `Experiment` that computes figures and plots from them. A new experiment also needs a line
-//! in [`all`]. The algorithms are those of `armarium-motion`; this room contains only the papers' set-up around them.
+//! in [`all`]. [`fingertips`] judges the tracking of hands before a simulated camera. The algorithms are those of `armarium-motion`; this room contains only the papers' set-up around them.
 //! It prints nothing and knows no command line.
 
 mod arm4;
@@ -13,6 +13,7 @@ mod dual_arm_plots;
 mod dual_arm_robot;
 mod error;
 mod experiment;
+pub mod fingertips;
 mod force;
 mod humanoid;
 mod humanoid_arm;

@@ -10,7 +10,7 @@ use armarium_simulator::World;
 use armarium_simulator::cameras::{DistantCameras, Scenery, ScenerySink};
 use armarium_visionx::ImageSource;
 use armarium_visionx::providers::{
-    Delivery, Description, ImageCoding, RemoteProvider, StereoView, channel, frame_of, offer,
+    Delivery, ImageCoding, ProviderDescription, RemoteProvider, StereoView, channel, frame_of, offer,
 };
 use tokio::sync::watch;
 
@@ -55,9 +55,9 @@ pub async fn serve_cameras(
     let name = &config.name;
     let mut cameras = DistantCameras::new(&world, config.seed).map_err(|error| unusable(name, error))?;
     let frame_id = cameras.frame().to_owned();
-    let described = Description::of_stereo(DistantCameras::name(), &frame_id, &cameras.calibration());
+    let described = ProviderDescription::of_stereo(DistantCameras::name(), &frame_id, &cameras.calibration());
     let about = format!("cameras of the simulated world `{}`, seed {}", world.name, config.seed);
-    let (frames, provider) = channel(Description { about, ..described });
+    let (frames, provider) = channel(ProviderDescription { about, ..described });
     let _offered = offer(session, name, Arc::new(provider)).await?;
     let scenery = session.bulk_reader(scenery_key(name)?, 1, true).await?;
     console.note(&format!("{name}/{}", DistantCameras::name()));

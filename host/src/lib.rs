@@ -3,6 +3,7 @@
 //! - [`run()`]: runs a chart with the simulated robot, from its files to its report.
 //! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
+//! - [`image_findings`]: what a processor of images found, for people and for a memory.
 //! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.
 //! - [`mod@sweep`]: many runs of a chart, and how many hold. [`mod@bench`]: one skill under test, in a few lines.
 //! - [`Console`]: the output for people.
@@ -23,6 +24,7 @@ mod console;
 mod driven;
 mod error;
 mod frame_sampler;
+pub mod image_findings;
 mod memory_log;
 mod names;
 mod network;

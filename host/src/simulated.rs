@@ -4,8 +4,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::{
-    AgentMemory, Limits, MemoryConfig, MemoryError, ObjectClass, Policies, Policy, PriorKnowledge, Restored,
-    WorkingMemory,
+    AgentMemory, MemoryConfig, MemoryError, MemoryLimits, ObjectClass, Policies, Policy, PriorKnowledge,
+    Restored, WorkingMemory,
 };
 use armarium_robot::{JointHistory, Robot};
 use armarium_simulator::cameras::ScenerySink;
@@ -109,7 +109,7 @@ pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostErr
     config.shared = true;
     config.policies = Policies::all(Policy::Nothing).with(MOTIONS, Policy::AtMost { hz: 1.0 });
     config.restored = Restored::Only(vec![MOTIONS.to_owned()]);
-    config.limits = Limits::default();
+    config.limits = MemoryLimits::default();
     config.prior = prior_knowledge(world)?;
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
 }

@@ -19,7 +19,7 @@ use crate::remote::RemoteMemory;
 use crate::server::{MemoryServer, ServerOptions};
 use crate::share::{FollowSettings, Following};
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy, Retention};
-use crate::working::{Backing, Clock, Limits, WorkingMemory};
+use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
 
 /// How often long-term memory forgets what is old or too much.
 const RETENTION_INTERVAL: Duration = Duration::from_secs(60);
@@ -42,7 +42,7 @@ pub struct MemoryConfig {
     /// How much is kept.
     pub retention: Retention,
     /// How much working memory holds.
-    pub limits: Limits,
+    pub limits: MemoryLimits,
     /// The agents that it follows.
     pub follow: Vec<FollowSettings>,
     /// Prior knowledge.
@@ -63,7 +63,7 @@ impl MemoryConfig {
             policies: Policies::all(Policy::Everything),
             restored: Restored::All,
             retention: Retention::default(),
-            limits: Limits::of_agent(),
+            limits: MemoryLimits::of_agent(),
             follow: Vec::new(),
             prior: PriorKnowledge::new(),
             infer: Vec::new(),

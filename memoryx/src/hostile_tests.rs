@@ -17,7 +17,8 @@ fn update(name: &str, time: u64) -> Commit {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nonsense_is_refused_in_words_and_others_are_served() {
     let session = Session::open(&SessionConfig::default()).await.unwrap();
-    let limits = Limits { entities: 3, bytes: 100_000, ahead_ns: Some(1000), ..Limits::default() };
+    let limits =
+        MemoryLimits { entities: 3, bytes: 100_000, ahead_ns: Some(1000), ..MemoryLimits::default() };
     let memory = Arc::new(WorkingMemory::new(Arc::new(|| 500)).with_limits(limits));
     let _server = MemoryServer::start(&session, "alice", Arc::clone(&memory)).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&session.endpoints().await)).await.unwrap();
@@ -55,7 +56,8 @@ async fn nonsense_is_refused_in_words_and_others_are_served() {
 
 #[test]
 fn nobody_takes_the_room_of_others() {
-    let limits = Limits { history: 2, entities: 100, bytes: 40_000, shares: 4, ..Limits::default() };
+    let limits =
+        MemoryLimits { history: 2, entities: 100, bytes: 40_000, shares: 4, ..MemoryLimits::default() };
     let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(limits);
     let of = |provider: &str, name: &str, bytes: usize| {
         let data = Value::Bytes(vec![0; bytes]);

@@ -61,7 +61,7 @@ pub use store::{
     Coding, Consolidator, Dropped, LongTermMemory, NamedSnapshot, Policies, Policy, Retention, StoreError,
     StoreStats, Verification,
 };
-pub use working::{Archive, Backing, Clock, Limits, WorkingMemory, tokio_clock};
+pub use working::{Archive, Backing, Clock, MemoryLimits, WorkingMemory, tokio_clock};
 
 #[cfg(test)]
 mod conformance_tests;

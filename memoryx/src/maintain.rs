@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::error::MemoryError;
 use crate::store::{LongTermMemory, Retention};
-use crate::wire::{Maintain, Report};
+use crate::wire::{Maintain, MaintenanceReport};
 use crate::working::WorkingMemory;
 
 /// Carries out a request. Blocks on the disk.
@@ -16,8 +16,8 @@ pub fn carry_out(
     request: Maintain,
     store: Option<&LongTermMemory>,
     memory: &WorkingMemory,
-) -> Result<Report, MemoryError> {
-    let counted = |counts: &[(&str, u64)]| Report {
+) -> Result<MaintenanceReport, MemoryError> {
+    let counted = |counts: &[(&str, u64)]| MaintenanceReport {
         counts: counts.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         words: Vec::new(),
     };
@@ -41,7 +41,7 @@ pub fn carry_out(
         Maintain::Verify => {
             let found = store.verify()?;
             let report = counted(&[("intact", found.intact), ("damaged", found.damaged)]);
-            Report { words: found.damages, ..report }
+            MaintenanceReport { words: found.damages, ..report }
         }
         Maintain::Compact => {
             let found = store.verify()?;
@@ -60,12 +60,12 @@ pub fn carry_out(
         Maintain::Load { name } => counted(&[("changed", store.load_named(&name, memory)? as u64)]),
         Maintain::Forget { name } => {
             store.forget_named(&name)?;
-            Report::default()
+            MaintenanceReport::default()
         }
         Maintain::Names => {
             let names = store.list_named()?;
             let counts = names.iter().map(|n| (n.name.clone(), n.entities)).collect();
-            Report { counts, words: names.into_iter().map(|n| n.name).collect() }
+            MaintenanceReport { counts, words: names.into_iter().map(|n| n.name).collect() }
         }
         Maintain::Retain { age_ns, bytes } => {
             let dropped = store.retain(Retention { age_ns, bytes }, memory.now_ns())?;

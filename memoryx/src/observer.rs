@@ -205,7 +205,7 @@ mod tests {
 
     use super::*;
     use crate::entity::Commit;
-    use crate::working::{Limits, WorkingMemory};
+    use crate::working::{MemoryLimits, WorkingMemory};
 
     fn at(name: &str, frame: &str, x: f64) -> Commit {
         let vector = Value::Vector(Vector { frame: Frame::from(frame), components: [x, 0.0, 0.0] });
@@ -260,7 +260,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_lagging_observer_reads_again_and_counts_what_is_lost() {
-        let limits = Limits { history: 3, backlog: 2, ..Limits::default() };
+        let limits = MemoryLimits { history: 3, backlog: 2, ..MemoryLimits::default() };
         let memory = Arc::new(WorkingMemory::new(Arc::new(|| 0)).with_limits(limits));
         let observer = Observer::new(Arc::<WorkingMemory>::clone(&memory)).await.unwrap();
         assert!(matches!(

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | get `{agent}/memory` | `memoryx/commit;v1`: [`CommitRequest`] | `memoryx/versions;v1`: list of versions |
 //! | get `{agent}/memory` | `memoryx/query;v1`: [`Query`] | `memoryx/snapshots;v2`: [`Snapshots`], a part where there is more |
-//! | get `{agent}/memory` | `memoryx/maintain;v1`: [`Maintain`] | `memoryx/report;v1`: [`Report`] |
+//! | get `{agent}/memory` | `memoryx/maintain;v1`: [`Maintain`] | `memoryx/report;v1`: [`MaintenanceReport`] |
 //! | get `{agent}/memory/{segment}/{provider}/{entity}`, `*` allowed | - | `memoryx/entity;v1` each, on its own key |
 //! | put `{agent}/memory/{segment}/{provider}/{entity}` by others | `memoryx/update;v1`: [`Commit`] | - |
 //! | put `{agent}/memory/{segment}/{provider}/{entity}` by the memory, while anybody subscribes | `memoryx/entity;v1`: [`Snapshot`] | - |
@@ -110,7 +110,7 @@ pub enum Maintain {
 
 /// The result of maintenance.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Report {
+pub struct MaintenanceReport {
     /// Numbers by name.
     pub counts: BTreeMap<String, u64>,
     /// Messages: damages, names.
@@ -124,7 +124,7 @@ armarium_bus::payloads! {
     Snapshots: "memoryx/snapshots", 2;
     Changes: "memoryx/changes", 1;
     Maintain: "memoryx/maintain", 1;
-    Report: "memoryx/report", 1;
+    MaintenanceReport: "memoryx/report", 1;
     Snapshot: "memoryx/entity", 1;
     Commit: "memoryx/update", 1;
     MemoryError: "memoryx/error", 1;

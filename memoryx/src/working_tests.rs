@@ -14,7 +14,7 @@ fn update(name: &str, time: u64, value: i64) -> Commit {
     Commit::new(id, time, BTreeMap::from([("value".to_owned(), Value::Int(value))]))
 }
 
-fn memory(limits: Limits) -> Arc<WorkingMemory> {
+fn memory(limits: MemoryLimits) -> Arc<WorkingMemory> {
     Arc::new(WorkingMemory::new(Arc::new(|| 0)).with_limits(limits))
 }
 
@@ -43,7 +43,7 @@ fn three_times_are_kept_apart() {
 
 #[test]
 fn history_and_entities_are_bounded() {
-    let memory = memory(Limits { history: 2, entities: 2, ..Limits::default() });
+    let memory = memory(MemoryLimits { history: 2, entities: 2, ..MemoryLimits::default() });
     for i in 0..5 {
         memory.commit_now(vec![update("a", i, 0)]).unwrap();
     }
@@ -78,7 +78,7 @@ fn a_backing_that_fails_refuses_the_commit() {
 
 #[tokio::test(start_paused = true)]
 async fn concurrent_modifications_all_count() {
-    let memory = memory(Limits::default());
+    let memory = memory(MemoryLimits::default());
     let add = |memory: Arc<WorkingMemory>| async move {
         for _ in 0..50 {
             let id = EntityId::new("Things", "p", "sum").unwrap();
@@ -98,7 +98,7 @@ async fn concurrent_modifications_all_count() {
 
 #[tokio::test(start_paused = true)]
 async fn a_follower_resumes_where_it_was() {
-    let memory = memory(Limits { history: 3, ..Limits::default() });
+    let memory = memory(MemoryLimits { history: 3, ..MemoryLimits::default() });
     let told = BTreeMap::from([("Things/p/a".parse().unwrap(), LastSeen { version: 2, arrived_ns: 0 })]);
     for i in 0..7 {
         memory.commit_now(vec![update("a", i, 0)]).unwrap();
@@ -134,7 +134,7 @@ proptest! {
     /// a short backlog reports each version exactly once, as new or missed.
     #[test]
     fn commits_and_followers_agree_with_a_plain_map(acts in acts()) {
-        let limits = Limits { history: 2, backlog: 4, ..Limits::default() };
+        let limits = MemoryLimits { history: 2, backlog: 4, ..MemoryLimits::default() };
         let memory = memory(limits);
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         let shared: Arc<dyn Memory> = Arc::<WorkingMemory>::clone(&memory);
@@ -191,7 +191,7 @@ proptest! {
 fn names_that_are_gone_are_free_again() {
     let time = std::sync::atomic::AtomicU64::new(0);
     let clock = move || time.fetch_add(1_000_000, std::sync::atomic::Ordering::Relaxed);
-    let limits = Limits { entities: 100_000, shares: 1, ..Limits::default() };
+    let limits = MemoryLimits { entities: 100_000, shares: 1, ..MemoryLimits::default() };
     let memory = WorkingMemory::new(Arc::new(clock)).with_limits(limits);
     let id = |i: u64| {
         EntityId::new("Things", if i.is_multiple_of(2) { "p" } else { "q" }, &format!("e{i}")).unwrap()

@@ -11,8 +11,8 @@ use armarium_bus::session::Reply;
 use armarium_bus::{Key, Session, SessionConfig, encode, keys};
 use armarium_memoryx::wire::{CommitRequest, Maintain};
 use armarium_memoryx::{
-    Commit, EntityId, Limits, LongTermMemory, Memory, MemoryError, MemoryServer, Pattern, Query, Region,
-    RemoteMemory, ServerOptions, Times, WorkingMemory,
+    Commit, EntityId, LongTermMemory, Memory, MemoryError, MemoryLimits, MemoryServer, Pattern, Query,
+    Region, RemoteMemory, ServerOptions, Times, WorkingMemory,
 };
 use armarium_values::{Frame, Value, Vector};
 use parking_lot::Mutex;
@@ -40,7 +40,7 @@ fn update(provider: &str, name: &str, bytes: usize) -> Commit {
 }
 
 /// Alice's session and memory.
-async fn alice(limits: Limits) -> (Session, Arc<WorkingMemory>) {
+async fn alice(limits: MemoryLimits) -> (Session, Arc<WorkingMemory>) {
     let session = Session::open(&SessionConfig::default()).await.unwrap();
     let clock = session.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns())).with_limits(limits);
@@ -173,7 +173,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
 async fn a_million_names_fill_one_share_and_no_more() {
     let _alone = ALONE.lock().await;
     let log = captured_log();
-    let limits = Limits { entities: 20_000, bytes: 64 << 20, shares: 4, ..Limits::default() };
+    let limits = MemoryLimits { entities: 20_000, bytes: 64 << 20, shares: 4, ..MemoryLimits::default() };
     let (far, memory) = alice(limits).await;
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
     let near = connected(&far).await;
@@ -215,7 +215,7 @@ async fn a_million_names_fill_one_share_and_no_more() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let _alone = ALONE.lock().await;
-    let (far, memory) = alice(Limits { history: 4, backlog: 256, ..Limits::default() }).await;
+    let (far, memory) = alice(MemoryLimits { history: 4, backlog: 256, ..MemoryLimits::default() }).await;
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
 
     // The first subscriber's callback never returns.

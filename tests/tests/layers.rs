@@ -22,7 +22,7 @@ const ALLOWED: [(&str, &[&str]); 16] = [
     ("simulator", &["values", "source", "robot", "visionx"]),
     ("viewer", &["values", "runtime", "robot", "memoryx", "visionx"]),
     ("host", ALL),
-    ("experiments", &["values", "motion", "robot", "simulator", "states", "viewer", "host"]),
+    ("experiments", &["values", "motion", "robot", "visionx", "simulator", "states", "viewer", "host"]),
     ("editor", &["values", "source", "runtime", "robot", "memoryx", "simulator"]),
     ("cli", ALL),
     ("tests", ALL),

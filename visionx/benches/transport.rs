@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use armarium_bus::{Session, SessionConfig};
 use armarium_visionx::providers::{
-    Delivery, Description, FrameSender, ImageCoding, ImageProvider, PixelFormat, RawFrame, RawImage,
+    Delivery, FrameSender, ImageCoding, ImageProvider, PixelFormat, ProviderDescription, RawFrame, RawImage,
     RemoteProvider, channel, offer,
 };
 use zenoh::Wait;
@@ -78,7 +78,8 @@ async fn raw(one: &Session, two: &Session, bytes: usize) -> Raw {
 
 async fn ours(one: &Session, two: &Session, frame: &RawFrame) -> Ours {
     let name = format!("eyes{}", frame.bytes());
-    let (sender, provider) = channel(Description { name: name.clone(), ..Description::default() });
+    let (sender, provider) =
+        channel(ProviderDescription { name: name.clone(), ..ProviderDescription::default() });
     let offered = offer(one, "bench", Arc::new(provider)).await.unwrap();
     let wait = Duration::from_secs(20);
     let (delivery, coding) = (Delivery::Newest, ImageCoding::Raw);

@@ -56,7 +56,7 @@ pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, Region, Run};
 pub use processor::{
-    Finding, FindingSource, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
+    FindingSource, ImageFinding, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
     run_processor,
 };
 pub use providers::rectify::Rectification;

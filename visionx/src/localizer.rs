@@ -16,7 +16,7 @@ use crate::components::{Component, components};
 use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::{Mask, Region};
 use crate::minimize::simplex;
-use crate::outline::{Outline, RowSums, border_points, box_outline};
+use crate::outline::{ConvexOutline, RowSums, border_points, box_outline};
 
 /// Prior knowledge of an object.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,7 +75,7 @@ struct Eye {
 /// A pose and the quality of its fit.
 struct Fit {
     pose: Pose4,
-    outlines: [Outline; 2],
+    outlines: [ConvexOutline; 2],
     covariance: Matrix4<f64>,
     visible: f64,
     /// Fraction of the silhouette that shows the surroundings.
@@ -207,7 +207,7 @@ impl ObjectLocalizer {
     }
 
     /// The silhouettes in both images.
-    fn outlines(&self, pose: &Pose4, left_from_surface: &Isometry3<f64>) -> Option<[Outline; 2]> {
+    fn outlines(&self, pose: &Pose4, left_from_surface: &Isometry3<f64>) -> Option<[ConvexOutline; 2]> {
         let left_from_box = left_from_surface * isometry(pose);
         let (camera, size) = (&self.calibration.camera, &self.model.size);
         let left = box_outline(camera, 0.0, &left_from_box, size)?;
@@ -227,7 +227,7 @@ impl ObjectLocalizer {
         let mut information = Matrix4::zeros();
         for _ in 0..8 {
             let Some(here) = self.outlines(&pose, left_from_surface) else { break };
-            let moved: Option<Vec<[Outline; 2]>> =
+            let moved: Option<Vec<[ConvexOutline; 2]>> =
                 (0..4).map(|i| self.outlines(&(pose + Pose4::ith(i, STEPS[i])), left_from_surface)).collect();
             let Some(moved) = moved else { break };
             let (mut jtj, mut jtr) = (Matrix4::zeros(), Pose4::zeros());
@@ -260,7 +260,12 @@ impl ObjectLocalizer {
 }
 
 impl Fit {
-    fn judge(pose: Pose4, outlines: [Outline; 2], covariance: Matrix4<f64>, eyes: &[Eye; 2]) -> Option<Self> {
+    fn judge(
+        pose: Pose4,
+        outlines: [ConvexOutline; 2],
+        covariance: Matrix4<f64>,
+        eyes: &[Eye; 2],
+    ) -> Option<Self> {
         let (mut visible, mut contradicted, mut spilled) = (0.0, 0.0, 0.0);
         let (mut on, mut all, mut squares) = (0.0, 0.0, 0.0);
         for (outline, eye) in outlines.iter().zip(eyes) {
@@ -335,7 +340,7 @@ fn half_turn(angle: f64) -> f64 {
 
 /// The cost of silhouettes in both images: coloured pixels outside, surroundings inside, a little for hidden pixels,
 /// and border points off the outline.
-fn silhouette_cost(outlines: &[Outline; 2], eyes: &[Eye; 2]) -> f64 {
+fn silhouette_cost(outlines: &[ConvexOutline; 2], eyes: &[Eye; 2]) -> f64 {
     let mut cost = 0.0;
     for (outline, eye) in outlines.iter().zip(eyes) {
         let area = outline.area();

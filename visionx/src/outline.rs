@@ -8,7 +8,7 @@ use crate::mask::{Mask, Region};
 /// A convex polygon in an image, corners in px, in order (the inside is to the left when y points up, to the right
 /// with the image's y down).
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Outline {
+pub(crate) struct ConvexOutline {
     corners: Vec<Point2<f64>>,
     /// For each edge its outward unit normal and the normal's product with its first corner.
     edges: Vec<([f64; 2], f64)>,
@@ -28,7 +28,7 @@ pub(crate) fn box_outline(
     shift: f64,
     left_from_box: &Isometry3<f64>,
     size: &Vector3<f64>,
-) -> Option<Outline> {
+) -> Option<ConvexOutline> {
     let mut points = [Point2::origin(); 8];
     for (i, p) in points.iter_mut().enumerate() {
         let sign = |bit: usize| if i >> bit & 1 == 0 { -0.5 } else { 0.5 };
@@ -39,10 +39,10 @@ pub(crate) fn box_outline(
         }
         *p = camera.project_shifted(&corner, shift)?;
     }
-    Outline::hull(&mut points)
+    ConvexOutline::hull(&mut points)
 }
 
-impl Outline {
+impl ConvexOutline {
     /// The convex hull (Andrew's monotone chain); `None` when all points lie on one line.
     pub(crate) fn hull(points: &mut [Point2<f64>]) -> Option<Self> {
         points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
@@ -191,11 +191,11 @@ pub(crate) fn border_points(mask: &Mask, width: u32, height: u32) -> Vec<Point2<
 mod tests {
     use super::*;
 
-    fn square(x: f64, y: f64, half: f64) -> Outline {
+    fn square(x: f64, y: f64, half: f64) -> ConvexOutline {
         let mut points: Vec<_> = [(-1.0, -1.0), (1.0, -1.0), (0.0, 0.2), (1.0, 1.0), (-1.0, 1.0)]
             .map(|(dx, dy)| Point2::new(x + dx * half, y + dy * half))
             .to_vec();
-        Outline::hull(&mut points).unwrap()
+        ConvexOutline::hull(&mut points).unwrap()
     }
 
     #[test]
@@ -206,7 +206,7 @@ mod tests {
         assert!((s.signed_distance(&Point2::new(10.0, 20.0)) + 4.0).abs() < 1e-12);
         assert!((s.signed_distance(&Point2::new(16.0, 21.0)) - 2.0).abs() < 1e-12);
         assert!(
-            Outline::hull(&mut [Point2::new(0.0, 0.0), Point2::new(1.0, 1.0), Point2::new(2.0, 2.0)])
+            ConvexOutline::hull(&mut [Point2::new(0.0, 0.0), Point2::new(1.0, 1.0), Point2::new(2.0, 2.0)])
                 .is_none()
         );
     }

@@ -7,7 +7,7 @@ use crate::annotate;
 use crate::frame::{ImageError, RgbImage, StereoFrame};
 use crate::localizer::ObjectLocalizer;
 use crate::marker::ColorMarkerObjectTracking;
-use crate::processor::{Finding, ImageProcessor};
+use crate::processor::{ImageFinding, ImageProcessor};
 use crate::providers::{RawFrame, StereoPair};
 use crate::tabletop::TabletopSegmentation;
 use crate::tracking::FingerTipTracking;
@@ -23,7 +23,7 @@ pub trait StereoStep: Send {
         None
     }
     /// Processes a frame.
-    fn step(&mut self, frame: &StereoFrame) -> Finding;
+    fn step(&mut self, frame: &StereoFrame) -> ImageFinding;
 }
 
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].
@@ -44,7 +44,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         self.step.name()
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Finding, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<ImageFinding, ImageError> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
@@ -54,14 +54,14 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         Ok(self.step.step(&self.pair.frame(frame)?))
     }
 
-    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &Finding) -> Option<RgbImage> {
+    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &ImageFinding) -> Option<RgbImage> {
         let mut image = self.pair.frame(frames.first()?).ok()?.left;
         finding.draw(&mut image);
         Some(image)
     }
 }
 
-impl Finding {
+impl ImageFinding {
     /// Draws the finding into the left image.
     pub fn draw(&self, image: &mut RgbImage) {
         match self {
@@ -84,8 +84,8 @@ impl StereoStep for ColorMarkerObjectTracking {
         "marker"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Marker(self.update(frame))
+    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
+        ImageFinding::Marker(self.update(frame))
     }
 }
 
@@ -94,8 +94,8 @@ impl StereoStep for ObjectLocalizer {
         "object"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Object(self.localize(frame))
+    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
+        ImageFinding::Object(self.localize(frame))
     }
 }
 
@@ -108,8 +108,8 @@ impl StereoStep for TabletopSegmentation {
         self.missing_input(frame)
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Tabletop(self.segment(frame))
+    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
+        ImageFinding::Tabletop(self.segment(frame))
     }
 }
 
@@ -118,8 +118,8 @@ impl StereoStep for HandObserver {
         "hand"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Hand(self.update(frame))
+    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
+        ImageFinding::Hand(self.update(frame))
     }
 }
 
@@ -128,7 +128,7 @@ impl StereoStep for FingerTipTracking {
         "fingertips"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Fingertips(self.update(frame))
+    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
+        ImageFinding::Fingertips(self.update(frame))
     }
 }

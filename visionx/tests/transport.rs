@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use armarium_bus::{Session, SessionConfig, keys};
 use armarium_visionx::providers::{
-    Delivery, Description, FrameSender, ImageCoding, ImageProvider, Offered, PixelFormat, RawFrame, RawImage,
-    RemoteError, RemoteProvider, channel, offer, providers,
+    Delivery, FrameSender, ImageCoding, ImageProvider, Offered, PixelFormat, ProviderDescription, RawFrame,
+    RawImage, RemoteError, RemoteProvider, channel, offer, providers,
 };
 
 const WAIT: Duration = Duration::from_secs(30);
@@ -36,7 +36,8 @@ fn frame(value: u8, size: (u32, u32)) -> RawFrame {
 }
 
 async fn offered(session: &Session) -> (FrameSender, Offered) {
-    let description = Description { name: "eyes".into(), about: "a test".into(), ..Description::default() };
+    let description =
+        ProviderDescription { name: "eyes".into(), about: "a test".into(), ..ProviderDescription::default() };
     let (sender, provider) = channel(description);
     (sender, offer(session, "alice", Arc::new(provider)).await.unwrap())
 }

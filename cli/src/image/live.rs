@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use armarium_memoryx::updater::Updater;
 use armarium_memoryx::{Memory, RemoteMemory};
-use armarium_visionx::providers::{Description, StereoPair, channel, offer};
+use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
-    ColorMarkerObjectTracking, Finding, FindingSource, HandObserver, ImageError, ImageProcessor,
+    ColorMarkerObjectTracking, FindingSource, HandObserver, ImageError, ImageFinding, ImageProcessor,
     MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, TabletopSegmentation, Trigger,
     run_processor,
 };
@@ -20,9 +20,9 @@ use nalgebra::UnitQuaternion;
 use serde_json::json;
 use tokio::sync::mpsc;
 
-use super::{Failure, ProcessArgs, argument, failed, findings, source};
+use super::{Failure, ProcessArgs, argument, failed, source};
 use crate::stopped::stopped;
-use armarium_host::Connection;
+use armarium_host::{Connection, image_findings};
 use parking_lot::Mutex;
 
 /// Findings that may wait to be printed and committed.
@@ -61,7 +61,7 @@ impl Look {
 
 /// Passes findings on; the processor never waits for the printer or the memory.
 struct HandOn {
-    to: Mutex<Option<mpsc::Sender<(FindingSource, Finding)>>>,
+    to: Mutex<Option<mpsc::Sender<(FindingSource, ImageFinding)>>>,
     dropped: AtomicU64,
     taken: AtomicBool,
     left: Mutex<Option<u64>>,
@@ -71,7 +71,7 @@ struct HandOn {
 
 #[async_trait]
 impl ResultSink for HandOn {
-    async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
+    async fn take(&self, source: &FindingSource, finding: ImageFinding) -> bool {
         self.taken.store(true, Ordering::Relaxed);
         let to = self.to.lock().clone();
         let Some(to) = to else { return false };
@@ -90,10 +90,10 @@ impl ResultSink for HandOn {
 }
 
 /// Converts the positions of rectified pairs to the provider's left camera.
-fn turned(mut finding: Finding, camera_from_pair: &UnitQuaternion<f64>) -> Finding {
+fn turned(mut finding: ImageFinding, camera_from_pair: &UnitQuaternion<f64>) -> ImageFinding {
     match &mut finding {
-        Finding::Hand(Some(hand)) => hand.palm_in_left = camera_from_pair * hand.palm_in_left,
-        Finding::Marker(Some(marker)) => {
+        ImageFinding::Hand(Some(hand)) => hand.palm_in_left = camera_from_pair * hand.palm_in_left,
+        ImageFinding::Marker(Some(marker)) => {
             let rotation = camera_from_pair.to_rotation_matrix();
             marker.point_in_left = camera_from_pair * marker.point_in_left;
             marker.covariance = rotation * marker.covariance * rotation.transpose();
@@ -128,7 +128,8 @@ pub(super) async fn run(
         None => None,
     };
     let about = format!("what `{}` sees in {}", processor.name(), described.name);
-    let description = Description { name: processor.name().into(), about, ..Description::default() };
+    let description =
+        ProviderDescription { name: processor.name().into(), about, ..ProviderDescription::default() };
     let (drawn, pictures) = channel(description);
     let _offered = match &args.offer {
         Some(agent) => Some(offer(connection.session(), agent, Arc::new(pictures)).await.map_err(failed)?),
@@ -187,19 +188,19 @@ pub(super) async fn run(
 
 /// Prints and commits findings, until there are no more.
 async fn tell(
-    mut told: mpsc::Receiver<(FindingSource, Finding)>,
+    mut told: mpsc::Receiver<(FindingSource, ImageFinding)>,
     remembers: Option<(Arc<RemoteMemory>, Updater)>,
     frame_id: &str,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     while let Some((source, finding)) = told.recv().await {
-        writeln!(out, "{}", findings::line(&source, &finding))?;
+        writeln!(out, "{}", image_findings::line(&source, &finding))?;
         let Some((memory, updater)) = &remembers else { continue };
-        let observations = findings::observations(&source, &finding, frame_id);
+        let observations = image_findings::observations(&source, &finding, frame_id);
         if !observations.is_empty() {
             updater.update(&observations).await.map_err(failed)?;
         }
-        if let Some(commit) = findings::surroundings(&source, &finding).map_err(failed)? {
+        if let Some(commit) = image_findings::surroundings(&source, &finding).map_err(failed)? {
             memory.commit(vec![commit]).await.map_err(failed)?;
         }
     }

@@ -2,7 +2,6 @@
 //! from files.
 
 mod calibrate;
-mod findings;
 mod live;
 mod page;
 mod play;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use armarium_visionx::ImageError;
 use armarium_visionx::providers::{
-    Delivery, Description, ImageCoding, ImageProvider, RawFrame, Recording, RemoteProvider,
+    Delivery, ImageCoding, ImageProvider, ProviderDescription, RawFrame, RecordingWriter, RemoteProvider,
 };
 use tokio::sync::mpsc;
 
@@ -31,7 +31,7 @@ pub(super) async fn run(
     }
     let (sender, mut frames) = mpsc::channel::<(String, Arc<RawFrame>)>(MAX_QUEUED);
     let (mut providers, mut reading): (Vec<Arc<RemoteProvider>>, Vec<_>) = (Vec::new(), Vec::new());
-    let mut named: Vec<Description> = Vec::new();
+    let mut named: Vec<ProviderDescription> = Vec::new();
     for name in &args.providers {
         let all = Delivery::All { waiting: MAX_QUEUED };
         let provider = Arc::new(source::remote(name, connection, all, ImageCoding::Raw).await?);
@@ -44,7 +44,7 @@ pub(super) async fn run(
         named.push(described);
     }
     // Only now: an existing recording must stay when a provider is missing.
-    let mut recording = Recording::create(&args.output).map_err(argument)?;
+    let mut recording = RecordingWriter::create(&args.output).map_err(argument)?;
     for (provider, described) in providers.iter().zip(named) {
         recording.add_provider(&described).map_err(failed)?;
         reading.push(tokio::spawn(read(Arc::clone(provider), described.name, sender.clone())));

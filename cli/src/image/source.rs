@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use armarium_bus::SessionError;
 use armarium_visionx::providers::{
-    Delivery, Description, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteError,
-    RemoteProvider, StereoPair,
+    Delivery, FileProvider, ImageCoding, ImageProvider, Pace, ProviderDescription, RecordingProvider,
+    RemoteError, RemoteProvider, StereoPair,
 };
 
 use super::{Failure, SourceArgs, argument, failed};
@@ -49,7 +49,7 @@ pub(super) async fn open(
 pub(super) async fn open_pair(
     args: &SourceArgs,
     connection: &Connection,
-) -> Result<(Source, Description, StereoPair), Failure> {
+) -> Result<(Source, ProviderDescription, StereoPair), Failure> {
     let source = open(args, connection, ImageCoding::Raw, None).await?;
     let described = source.provider.description();
     let pair = StereoPair::of(&described);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use armarium_bus::Session;
-use armarium_memoryx::wire::{Maintain, Report};
+use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
     LongTermMemory, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory, maintain,
     pages,
@@ -99,7 +99,7 @@ impl Reached {
     }
 
     /// Requests maintenance of long-term memory.
-    pub(super) async fn maintain(&self, request: Maintain) -> Result<Report, Failure> {
+    pub(super) async fn maintain(&self, request: Maintain) -> Result<MaintenanceReport, Failure> {
         match self {
             Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),
             Self::File { store, memory } => Ok(maintain::carry_out(request, Some(store), memory)?),

@@ -6,7 +6,7 @@ use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-use armarium_memoryx::wire::{Maintain, Report};
+use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
     Commit, EntityId, Filter, Instance, MemoryError, Pattern, Query, Region, Snapshot, Times, infer,
 };
@@ -88,7 +88,7 @@ fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
     })
 }
 
-fn report_of(report: &Report, shown: &Printer, out: &mut dyn Write) -> Result<u8, Failure> {
+fn report_of(report: &MaintenanceReport, shown: &Printer, out: &mut dyn Write) -> Result<u8, Failure> {
     shown.counts(&report.counts, out)?;
     let damaged = report.counts.get("damaged").is_some_and(|count| *count > 0);
     if damaged {

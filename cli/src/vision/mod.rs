@@ -6,7 +6,6 @@ mod figures;
 mod look;
 mod report;
 mod sequence;
-mod staged;
 mod track;
 mod train;
 

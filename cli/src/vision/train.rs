@@ -6,18 +6,14 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
+use armarium_experiments::fingertips::{RATE_HZ, simulated_paths};
 use armarium_visionx::tracking::FingerARModel;
 use nalgebra::Point2;
 
 use super::TrainArgs;
 use super::look::refuse;
 use super::sequence::Sequence;
-use super::staged::{BACKGROUNDS, CALIBRATION, RATE_HZ, Stage};
 use super::track::Follower;
-
-/// Frames per simulated sequence, and the first seed: the seeds of `figures` begin at 0.
-const FRAMES: u64 = 120;
-const FIRST_SEED: u64 = 1_000;
 
 /// The positions of one fingertip, frame by frame, normalised; not finite where it was not seen.
 type Path2 = Vec<Point2<f64>>;
@@ -35,7 +31,7 @@ pub(super) fn run(args: &TrainArgs, out: &mut dyn Write, err: &mut dyn Write) ->
         if (args.rate - RATE_HZ).abs() > 1e-9 {
             return refuse(&format!("simulated sequences have {RATE_HZ} images a second"), err);
         }
-        paths.extend((0..sequences).flat_map(simulated));
+        paths.extend((0..sequences).flat_map(simulated_paths));
     }
     let model = match FingerARModel::fit(&paths, args.rate) {
         Ok(model) => model,
@@ -79,21 +75,4 @@ fn seen(path: &Path, args: &TrainArgs) -> Result<Vec<Path2>, String> {
         true
     })?;
     Ok(paths.into_values().collect())
-}
-
-/// The paths of the tips of a simulated hand.
-fn simulated(sequence: u64) -> Vec<Path2> {
-    let stage = Stage::new(FIRST_SEED + sequence, sequence % BACKGROUNDS);
-    let mut paths = vec![Path2::new(); 5];
-    for frame in 0..FRAMES {
-        let (_, truth) = stage.frame(frame);
-        for (finger, path) in paths.iter_mut().enumerate() {
-            let tip = truth.tips.iter().find(|t| t.finger == finger);
-            let camera = CALIBRATION.camera;
-            path.push(tip.map_or(Point2::new(f64::NAN, f64::NAN), |t| {
-                Point2::from((t.px.coords - nalgebra::Vector2::from(camera.center)) / camera.focal)
-            }));
-        }
-    }
-    paths
 }

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use armarium_memoryx::infer::{USUAL_PLACES, conclude_once};
 use armarium_memoryx::{
-    Commit, Consolidator, EntityId, Limits, LongTermMemory, Memory, Pattern, Policies, Policy, Query, Times,
-    UsualPlaces, WorkingMemory, distance, place_of,
+    Commit, Consolidator, EntityId, LongTermMemory, Memory, MemoryLimits, Pattern, Policies, Policy, Query,
+    Times, UsualPlaces, WorkingMemory, distance, place_of,
 };
 use armarium_values::{Frame, Value, Vector};
 use rand::{RngExt, SeedableRng};
@@ -87,8 +87,8 @@ fn by_policy(name: &str, policy: Policy) {
 
 /// Guesses the most probable place each day, before the cup is looked for.
 async fn prediction() {
-    let memory =
-        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 10_000, ..Limits::default() });
+    let memory = WorkingMemory::new(Arc::new(|| 0))
+        .with_limits(MemoryLimits { history: 10_000, ..MemoryLimits::default() });
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let (mut guessed, mut surprise, mut days) = (0, 0.0, 0);
     for day in 1..=200_u64 {

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_memoryx::{Consolidator, Limits, LongTermMemory, Policies, Policy, WorkingMemory};
+use armarium_memoryx::{Consolidator, LongTermMemory, MemoryLimits, Policies, Policy, WorkingMemory};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
@@ -122,8 +122,8 @@ fn kept() {
         let store = LongTermMemory::open(&folder.path().join(format!("{together}.redb"))).expect("a file");
         let store = Arc::new(store);
         let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
-        let memory =
-            WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 2, ..Limits::default() });
+        let memory = WorkingMemory::new(Arc::new(|| 0))
+            .with_limits(MemoryLimits { history: 2, ..MemoryLimits::default() });
         let memory = memory.with_backing(Arc::new(kept));
         for g in 0..1000 {
             let updates = (0..together).map(|i| commit((g * together + i) % 1000, 100));

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use armarium_bus::{Key, Payload, Session, SessionConfig, Subscription, decode, encode, keys};
 use armarium_memoryx::wire::{Changes, CommitRequest};
-use armarium_memoryx::{EntityId, Limits, Memory, MemoryServer, RemoteMemory, Snapshot, WorkingMemory};
+use armarium_memoryx::{EntityId, Memory, MemoryLimits, MemoryServer, RemoteMemory, Snapshot, WorkingMemory};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinSet;
@@ -23,7 +23,7 @@ pub(super) async fn shared() {
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.expect("a session");
     let clock = far.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
-    let memory = Arc::new(memory.with_limits(Limits { history: 64, ..Limits::default() }));
+    let memory = Arc::new(memory.with_limits(MemoryLimits { history: 64, ..MemoryLimits::default() }));
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.expect("it is shared");
     let remote = RemoteMemory::connect(&near, "alice").await.expect("it answers");
     let mut bare = Bare::start(&near, &far).await;

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::{
-    Consolidator, Instance, Limits, LongTermMemory, Pattern, Policies, Policy, Query, Snapshot, WorkingMemory,
+    Consolidator, Instance, LongTermMemory, MemoryLimits, Pattern, Policies, Policy, Query, Snapshot,
+    WorkingMemory,
 };
 use armarium_values::Value;
 use redb::{Database, TableDefinition};
@@ -145,7 +146,7 @@ pub(super) fn durable_agent() {
     let store = Arc::new(LongTermMemory::open(&folder.path().join("agent.redb")).expect("a file"));
     let kept = Consolidator::new(store, Policies::all(Policy::Everything));
     let memory =
-        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits::default()).with_backing(Arc::new(kept));
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(MemoryLimits::default()).with_backing(Arc::new(kept));
     for group in [1000, 10_000] {
         let start = Meter::start();
         for g in 0..KEPT / group {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::{EntityId, Limits, WorkingMemory};
+use armarium_memoryx::{EntityId, MemoryLimits, WorkingMemory};
 use indexmap::IndexMap;
 
 use super::{Meter, commit, id, median, resident_mb, say};
@@ -33,8 +33,8 @@ fn looked_up<T>(count: u64, mut look: impl FnMut(&EntityId) -> T) -> f64 {
 
 pub(super) fn a_million() {
     let before = resident_mb();
-    let memory =
-        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { entities: 1_000_000, ..Limits::default() });
+    let memory = WorkingMemory::new(Arc::new(|| 0))
+        .with_limits(MemoryLimits { entities: 1_000_000, ..MemoryLimits::default() });
     let mut bare: IndexMap<String, Arc<u64>> = IndexMap::new();
     let mut held = 0;
     for count in [1000, 1_000_000] {

@@ -8,7 +8,7 @@ use parking_lot::Mutex;
 
 use super::*;
 use crate::entity::Commit;
-use crate::working::{Limits, WorkingMemory};
+use crate::working::{MemoryLimits, WorkingMemory};
 
 /// A memory that changes after each of the first queries.
 struct Busy {
@@ -44,7 +44,7 @@ fn update(entity: usize) -> Commit {
 async fn what_changes_while_it_is_read_is_not_missed() {
     let time = AtomicU64::new(0);
     let memory = WorkingMemory::new(Arc::new(move || time.fetch_add(1, Ordering::Relaxed) + 1));
-    let memory = memory.with_limits(Limits { backlog: 2, ..Limits::default() });
+    let memory = memory.with_limits(MemoryLimits { backlog: 2, ..MemoryLimits::default() });
     let (first, last) = (0, PAGE_SIZE + 10);
     let overtaking = (1..10).map(update).collect();
     let after = VecDeque::from([vec![update(first), update(last)], overtaking]);
@@ -73,7 +73,7 @@ async fn a_memory_that_begins_anew_is_followed_on() {
     for (history, expected) in [(32, "1 2 3 4"), (2, "missed 1-1 2 3 4")] {
         let time = AtomicU64::new(100);
         let memory = WorkingMemory::new(Arc::new(move || time.fetch_add(1, Ordering::Relaxed)));
-        let memory = Arc::new(memory.with_limits(Limits { history, ..Limits::default() }));
+        let memory = Arc::new(memory.with_limits(MemoryLimits { history, ..MemoryLimits::default() }));
         let told = BTreeMap::from([(update(0).id, LastSeen { version: 5, arrived_ns: 99 })]);
         let shared = Arc::<WorkingMemory>::clone(&memory);
         for _ in 0..3 {

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::*;
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
-use crate::working::{Limits, WorkingMemory};
+use crate::working::{MemoryLimits, WorkingMemory};
 
 const DAY_NS: u64 = 86_400_000_000_000;
 
@@ -131,7 +131,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     let store = Arc::new(LongTermMemory::open(&folder.path().join("days.redb")).unwrap());
     let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
     // Working memory holds the last sighting only.
-    let limits = Limits { history: 1, ..Limits::default() };
+    let limits = MemoryLimits { history: 1, ..MemoryLimits::default() };
     let memory = WorkingMemory::new(Arc::new(|| 1)).with_limits(limits).with_backing(Arc::new(kept));
     let hour = 3_600_000_000_000;
     // Three days on the shelf, the fourth half in the sink; today on the floor.

@@ -17,7 +17,7 @@ use crate::error::MemoryError;
 use crate::memory::Memory;
 use crate::query::Query;
 use crate::server::unreachable_memory;
-use crate::wire::{self, Maintain, Report};
+use crate::wire::{self, Maintain, MaintenanceReport};
 
 /// Messages that wait to be decoded, and changes that a subscriber may lag behind.
 const QUEUE: usize = 4096;
@@ -90,7 +90,7 @@ impl RemoteMemory {
     ///
     /// # Errors
     /// [`MemoryError::Store`] when it has none or the store fails; [`MemoryError::Remote`].
-    pub async fn maintain(&self, request: &Maintain) -> Result<Report, MemoryError> {
+    pub async fn maintain(&self, request: &Maintain) -> Result<MaintenanceReport, MemoryError> {
         let failed = |error: armarium_bus::CodecError| self.link.failed(&error.to_string());
         let (encoding, payload) = wire::seal(request).map_err(failed)?;
         let (encoding, payload) = self.link.ask(&encoding, payload).await?;

@@ -13,7 +13,7 @@ use crate::proxy::{ProxyState, proxy};
 use crate::query::Pattern;
 use crate::server::MemoryServer;
 use crate::wire::Changes;
-use crate::working::{Limits, WorkingMemory};
+use crate::working::{MemoryLimits, WorkingMemory};
 
 struct Pair {
     memory: Arc<WorkingMemory>,
@@ -25,7 +25,7 @@ struct Pair {
 
 async fn pair() -> Pair {
     let memory = WorkingMemory::new(Arc::new(|| 0));
-    let memory = Arc::new(memory.with_limits(Limits { history: 64, ..Limits::default() }));
+    let memory = Arc::new(memory.with_limits(MemoryLimits { history: 64, ..MemoryLimits::default() }));
     let far = Session::open(&SessionConfig::default()).await.unwrap();
     let server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
@@ -136,7 +136,7 @@ async fn what_is_flooded_arrives_whole() {
     let far = Session::open(&SessionConfig::default()).await.unwrap();
     let clock = far.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
-    let memory = Arc::new(memory.with_limits(Limits { history: 256, ..Limits::default() }));
+    let memory = Arc::new(memory.with_limits(MemoryLimits { history: 256, ..MemoryLimits::default() }));
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());

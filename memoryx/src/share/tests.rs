@@ -9,7 +9,7 @@ use crate::proxy::{ProxyState, proxy};
 use crate::remote::RemoteMemory;
 use crate::server::{MemoryServer, ServerOptions};
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
-use crate::working::Limits;
+use crate::working::MemoryLimits;
 
 fn cup(time: u64, x: f64) -> Commit {
     let id = EntityId::new(OBJECT_INSTANCES, "vision", "cup").unwrap();
@@ -138,7 +138,9 @@ async fn after_a_cut_both_sides_are_equal() {
     let session = Session::open(&SessionConfig::default()).await.unwrap();
     let clock = session.clone();
     let alice = WorkingMemory::new(Arc::new(move || clock.now_ns()));
-    let alice = alice.with_limits(Limits { history: 4, ..Limits::default() }).with_backing(Arc::new(kept));
+    let alice = alice
+        .with_limits(MemoryLimits { history: 4, ..MemoryLimits::default() })
+        .with_backing(Arc::new(kept));
     let alice = Arc::new(alice);
     let options = ServerOptions { store: Some(store), guarded: false };
     let server = MemoryServer::start_with(&session, "alice", Arc::clone(&alice), options).await.unwrap();
@@ -146,8 +148,8 @@ async fn after_a_cut_both_sides_are_equal() {
 
     let near = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
-    let bob =
-        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 100_000, ..Limits::default() });
+    let bob = WorkingMemory::new(Arc::new(|| 0))
+        .with_limits(MemoryLimits { history: 100_000, ..MemoryLimits::default() });
     let bob = Arc::new(bob);
     let shared = Arc::<RemoteMemory>::clone(&remote);
     let following = Following::start(shared, Arc::clone(&bob), settings(None)).await.unwrap();

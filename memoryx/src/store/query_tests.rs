@@ -12,7 +12,7 @@ use crate::entity::Commit;
 use crate::memory::pages;
 use crate::place::Region;
 use crate::query::{Cursor, Times};
-use crate::working::Limits;
+use crate::working::MemoryLimits;
 
 /// A history with times out of order and removals, by entity.
 fn histories() -> impl Strategy<Value = Vec<(u8, u64, bool)>> {
@@ -128,7 +128,7 @@ proptest! {
             Arc::new(move || ticks.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) as crate::working::Clock
         };
         let memory = WorkingMemory::new(clock()).with_backing(Arc::<LongTermMemory>::clone(&store));
-        let forgetful = WorkingMemory::new(clock()).with_limits(Limits { history: 1, ..Limits::default() });
+        let forgetful = WorkingMemory::new(clock()).with_limits(MemoryLimits { history: 1, ..MemoryLimits::default() });
         let forgetful = forgetful.with_backing(Arc::new(InParts { store: other, most: 3 })).in_parts_of(3);
         for update in history.into_iter().map(update) {
             memory.commit_now(vec![update.clone()]).unwrap();
@@ -147,7 +147,7 @@ proptest! {
     #[test]
     fn pieces_make_up_the_whole(history in histories(), query in queries(), size in 1usize..5, bytes in 0u64..900) {
         let (_folder, _, store) = store();
-        let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 2, ..Limits::default() });
+        let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(MemoryLimits { history: 2, ..MemoryLimits::default() });
         let memory = memory.with_backing(store).in_parts_of(2);
         for update in history.into_iter().map(update) {
             memory.commit_now(vec![update]).unwrap();

@@ -41,7 +41,7 @@ pub fn tokio_clock() -> Clock {
 
 /// The capacity of a working memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub struct MemoryLimits {
     /// Newest snapshots that are kept of each entity; at least 1.
     pub history: usize,
     /// Most entities.
@@ -57,13 +57,13 @@ pub struct Limits {
     pub shares: u32,
 }
 
-impl Default for Limits {
+impl Default for MemoryLimits {
     fn default() -> Self {
         Self { history: 32, entities: 1_000_000, backlog: 4096, bytes: 4 << 30, ahead_ns: None, shares: 1 }
     }
 }
 
-impl Limits {
+impl MemoryLimits {
     /// For a memory that others write to: data at most a minute in the future, and a quarter of the capacity per
     /// owner.
     pub fn of_agent() -> Self {
@@ -117,7 +117,7 @@ pub trait Archive {
 /// The memory of one agent, in this process.
 pub struct WorkingMemory {
     clock: Clock,
-    limits: Limits,
+    limits: MemoryLimits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
     /// Most snapshots in one query to the backing.
@@ -131,9 +131,9 @@ pub struct WorkingMemory {
 }
 
 impl WorkingMemory {
-    /// An empty memory with the standard core segments and [`Limits::default`].
+    /// An empty memory with the standard core segments and [`MemoryLimits::default`].
     pub fn new(clock: Clock) -> Self {
-        let limits = Limits::default();
+        let limits = MemoryLimits::default();
         Self {
             clock,
             limits,
@@ -149,8 +149,8 @@ impl WorkingMemory {
 
     /// The same memory with other limits. To be called before anyone subscribes.
     #[must_use]
-    pub fn with_limits(mut self, limits: Limits) -> Self {
-        self.limits = Limits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
+    pub fn with_limits(mut self, limits: MemoryLimits) -> Self {
+        self.limits = MemoryLimits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
         self.changes = broadcast::channel(limits.backlog.clamp(1, 1 << 24)).0;
         self
     }

@@ -14,7 +14,7 @@ use super::symbols::Symbol;
 use crate::program::{Action, Pattern, Send, StateId, Term, Transition};
 
 impl<'t> Compiler<'t> {
-    pub(super) fn transition(&mut self, at: &Site<'t>, model: &'t model::Transition) -> Transition {
+    pub(super) fn transition(&mut self, at: &Site<'t>, model: &'t model::WrittenTransition) -> Transition {
         let targets: Vec<StateId> =
             model.targets.iter().filter_map(|target| self.target(at, target)).collect();
         self.together(at, &targets, &model.targets);
@@ -60,7 +60,7 @@ impl<'t> Compiler<'t> {
         Some(term)
     }
 
-    pub(super) fn actions(&mut self, site: &Site<'_>, actions: &[model::Action]) -> Vec<Action> {
+    pub(super) fn actions(&mut self, site: &Site<'_>, actions: &[model::WrittenAction]) -> Vec<Action> {
         let mut compiled = Vec::new();
         for action in actions {
             let place = site.place(action.span);
@@ -74,11 +74,11 @@ impl<'t> Compiler<'t> {
                     self.names
                         .refer(site.source, event.span, || Some(Symbol::Event { name: event.text.clone() }));
                     let data = self.data_of(site, event, data.as_ref());
-                    let event = self.symbols.intern(&event.text);
+                    let event = self.event_names.intern(&event.text);
                     compiled.push(Action::Raise { event, data, place });
                 }
                 ActionKind::Send { event, to, data, delay, id } => {
-                    let symbol = self.symbols.intern(&event.text);
+                    let symbol = self.event_names.intern(&event.text);
                     let address = to.as_ref().and_then(|node| self.value(site, node, &Type::String));
                     // What another agent's event comes with is declared there.
                     let data = match to {

@@ -21,7 +21,7 @@ use super::names::unknown_names;
 use super::suspicious::suspicious;
 use super::symbols::{Collector, Section, SkillPart, Symbol};
 use crate::program::{
-    Binding, Code, Entry, Kind, Program, SourcePlace, State, StateId, Symbols, Term, Transition, Watch,
+    Binding, Code, Entry, EventNames, Kind, Program, SourcePlace, State, StateId, Term, Transition, Watch,
 };
 use crate::skill::Parameter;
 
@@ -111,7 +111,7 @@ pub(super) fn compile(
         names: ChartNames::new(tree, schema, collector),
         event_types: &event_types,
         findings: Vec::new(),
-        symbols: Symbols::default(),
+        event_names: EventNames::default(),
         slots: tree.slots,
     };
     let mut program = Program::default();
@@ -125,7 +125,7 @@ pub(super) fn compile(
         }
         program.states.push(state);
     }
-    let Compiler { names, findings, symbols, slots, .. } = compiler;
+    let Compiler { names, findings, event_names, slots, .. } = compiler;
     let program = Program {
         name: root.name.clone(),
         sources: tree.sources.clone(),
@@ -133,7 +133,7 @@ pub(super) fn compile(
         channels: names.into_channels(),
         channel_types: channel_types(schema),
         slots,
-        symbols,
+        event_names,
         profiles: profiles(root),
         event_types,
         declared_events: declared_events(library),
@@ -150,7 +150,7 @@ pub(super) struct Compiler<'t> {
     pub(super) event_types: &'t BTreeMap<String, Type>,
     pub(super) findings: Vec<Finding>,
     /// The names of events so far.
-    pub(super) symbols: Symbols,
+    pub(super) event_names: EventNames,
     /// The places for data so far: those of the tree, and those of loops.
     pub(super) slots: u32,
 }
@@ -229,7 +229,7 @@ impl<'t> Compiler<'t> {
             limits: flat.limits,
             unbreakable: model.unbreakable,
             outputs: flat.outputs.iter().map(|(name, slot, _)| (name.clone(), *slot)).collect(),
-            done: self.symbols.intern(&format!("done.state.{}", flat.name())),
+            done: self.event_names.intern(&format!("done.state.{}", flat.name())),
             place: SourcePlace { source: flat.source, byte: number(model.name.span.start) },
         };
         if id == 0 {
@@ -248,7 +248,7 @@ impl<'t> Compiler<'t> {
                 watches.push(compiled);
             }
         }
-        let mut compiled = |list: &'t [model::Transition]| -> Vec<u32> {
+        let mut compiled = |list: &'t [model::WrittenTransition]| -> Vec<u32> {
             let one = |transition| {
                 transitions.push(self.transition(site, transition));
                 number(transitions.len() - 1)
@@ -261,24 +261,24 @@ impl<'t> Compiler<'t> {
         state
     }
 
-    fn kind(&mut self, site: &Site<'t>, inside: &Inside<'_>, model: &'t model::Kind) -> Kind {
+    fn kind(&mut self, site: &Site<'t>, inside: &Inside<'_>, model: &'t model::WrittenKind) -> Kind {
         match (inside, model) {
             (Inside::Skill(manifest), _) => {
                 manifest.outcomes.iter().for_each(|outcome| {
-                    self.symbols.intern(outcome);
+                    self.event_names.intern(outcome);
                 });
                 Kind::Skill { manifest: Arc::clone(manifest) }
             }
             (Inside::Chart { instance, .. }, _) => Kind::Chart { instance: *instance },
-            (Inside::Nothing, model::Kind::Composite { initial, .. }) => {
+            (Inside::Nothing, model::WrittenKind::Composite { initial, .. }) => {
                 let targets = self.initial(site, initial);
                 Kind::Composite { initial: Entry { targets, actions: self.actions(site, &initial.actions) } }
             }
-            (Inside::Nothing, model::Kind::Parallel(_)) => Kind::Parallel,
-            (Inside::Nothing, model::Kind::Final(outcome)) => {
-                Kind::Final { outcome: self.symbols.intern(&outcome.text) }
+            (Inside::Nothing, model::WrittenKind::Parallel(_)) => Kind::Parallel,
+            (Inside::Nothing, model::WrittenKind::Final(outcome)) => {
+                Kind::Final { outcome: self.event_names.intern(&outcome.text) }
             }
-            (Inside::Nothing, model::Kind::History { deep, default }) => {
+            (Inside::Nothing, model::WrittenKind::History { deep, default }) => {
                 let targets = self.history_default(site, default);
                 let default = Entry { targets, actions: self.actions(site, &default.actions) };
                 Kind::History { deep: *deep, default }
@@ -335,7 +335,10 @@ impl<'t> Compiler<'t> {
         // What could not be found, or is not known yet, takes anything; so does a final state.
         let anything = matches!(
             tree.state(target).model.kind,
-            model::Kind::Final(_) | model::Kind::Skill(_) | model::Kind::Chart(_) | model::Kind::Remote(_)
+            model::WrittenKind::Final(_)
+                | model::WrittenKind::Skill(_)
+                | model::WrittenKind::Chart(_)
+                | model::WrittenKind::Remote(_)
         );
         let mut bindings = Vec::new();
         for (name, node) in with {
@@ -383,10 +386,10 @@ impl<'t> Compiler<'t> {
         bindings
     }
 
-    fn watch(&mut self, site: &Site<'_>, watch: &model::Watch) -> Option<Watch> {
+    fn watch(&mut self, site: &Site<'_>, watch: &model::WrittenWatch) -> Option<Watch> {
         let condition = self.condition(site, &watch.condition);
         let until = watch.until.as_ref().and_then(|node| self.condition(site, node));
-        let name = self.symbols.intern(&watch.name.text);
+        let name = self.event_names.intern(&watch.name.text);
         Some(Watch { state: site.state, name, condition: condition?, until, hold_s: watch.hold_s })
     }
 }

@@ -36,7 +36,7 @@ pub(super) struct Tree<'l> {
 #[derive(Debug)]
 pub(super) struct Flat<'l> {
     /// As it was written.
-    pub(super) model: &'l model::State,
+    pub(super) model: &'l model::WrittenState,
     pub(super) parent: Option<StateId>,
     /// The last state inside it, itself when there is none.
     pub(super) last: StateId,
@@ -116,13 +116,14 @@ impl Tree<'_> {
     }
 
     pub(super) fn is_history(&self, state: StateId) -> bool {
-        matches!(self.state(state).model.kind, model::Kind::History { .. })
+        matches!(self.state(state).model.kind, model::WrittenKind::History { .. })
     }
 
     /// Whether a state is a region of a parallel state.
     pub(super) fn is_region(&self, state: StateId) -> bool {
         let of = self.state(state);
-        let parallel = |p: StateId| matches!(self.state(p).model.kind, model::Kind::Parallel(_)) && p != 0;
+        let parallel =
+            |p: StateId| matches!(self.state(p).model.kind, model::WrittenKind::Parallel(_)) && p != 0;
         !of.chart_root && of.parent.is_some_and(parallel)
     }
 
@@ -247,7 +248,12 @@ impl<'l> Flattening<'l, '_> {
     }
 
     /// Adds a state inside `parent`.
-    fn push(&mut self, model: &'l model::State, parent: StateId, chart: Option<(u32, u32)>) -> StateId {
+    fn push(
+        &mut self,
+        model: &'l model::WrittenState,
+        parent: StateId,
+        chart: Option<(u32, u32)>,
+    ) -> StateId {
         let around = &self.tree.states[parent as usize];
         let (source, instance) = chart.unwrap_or((around.source, around.instance));
         let path = match (chart, around.path.as_str()) {
@@ -321,9 +327,9 @@ impl<'l> Flattening<'l, '_> {
     }
 
     /// Finds what a state stands for.
-    fn inside(&mut self, id: StateId, model: &'l model::State, source: u32) {
+    fn inside(&mut self, id: StateId, model: &'l model::WrittenState, source: u32) {
         match &model.kind {
-            model::Kind::Skill(name) => {
+            model::WrittenKind::Skill(name) => {
                 let Some(manifest) = self.registry.manifest(&name.text).cloned() else {
                     let known = self.registry.manifests().map(|m| m.name.as_str());
                     let help = "`armarium skills` lists the skills".to_owned();
@@ -335,10 +341,10 @@ impl<'l> Flattening<'l, '_> {
                 };
                 self.acts(id, manifest);
             }
-            model::Kind::Chart(name) if self.library.stand_ins.contains_key(&name.text) => {
+            model::WrittenKind::Chart(name) if self.library.stand_ins.contains_key(&name.text) => {
                 self.acts(id, Arc::clone(&self.library.stand_ins[&name.text]));
             }
-            model::Kind::Chart(name) => {
+            model::WrittenKind::Chart(name) => {
                 // A chart that could not be read has its finding already.
                 let Some(chart) = self.library.charts.get(&name.text) else { return self.gives_anything(id) };
                 if self.stack.contains(&name.text) {
@@ -358,7 +364,7 @@ impl<'l> Flattening<'l, '_> {
                 self.chart(chart, id);
                 self.stack.pop();
             }
-            model::Kind::Remote(name) => {
+            model::WrittenKind::Remote(name) => {
                 let manifest = self.offered(source, name);
                 self.acts(id, manifest);
             }

@@ -1,4 +1,5 @@
-//! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
+//! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, FlexBE,
+//! BehaviorTree.CPP.
 
 use armarium_source::yaml::{Node, Yaml};
 use armarium_source::{Edit, FormKey, Remedy, Source, Span};
@@ -9,7 +10,16 @@ type Words = (&'static [&'static str], &'static str);
 /// Words, and what they are here.
 const WORDS: &[Words] = &[
     (
-        &["on", "eventTransitions", "Transitions", "event_transitions", "events", "event", "target"],
+        &[
+            "on",
+            "eventTransitions",
+            "Transitions",
+            "event_transitions",
+            "events",
+            "event",
+            "eventName",
+            "target",
+        ],
         "in Armarium this is `transitions: {event: Target}`",
     ),
     (
@@ -34,17 +44,43 @@ const WORDS: &[Words] = &[
             "variables",
             "vars",
             "localParameters",
+            "LocalParameters",
+            "userdata",
             "blackboard",
             "SetBlackboard",
         ],
         "in Armarium a chart's variables are `locals: {name: {type: ..., default: ...}}`",
     ),
     (
-        &["inputParameters", "input_ports", "params", "parameters", "args", "arguments", "param"],
+        &[
+            "inputParameters",
+            "InputParameters",
+            "input_ports",
+            "input_keys",
+            "input",
+            "params",
+            "parameters",
+            "args",
+            "arguments",
+            "param",
+            "remapping",
+            "inputMapping",
+            "ParameterMappings",
+            "ParameterMapping",
+        ],
         "in Armarium a state is given values by `with`, and a chart declares `inputs`",
     ),
     (
-        &["outputParameters", "output_ports", "output", "donedata", "content"],
+        &[
+            "outputParameters",
+            "OutputParameters",
+            "output_ports",
+            "output_keys",
+            "output",
+            "outputMapping",
+            "donedata",
+            "content",
+        ],
         "in Armarium a chart declares `outputs`, and `assign` sets them",
     ),
     (
@@ -66,7 +102,16 @@ const WORDS: &[Words] = &[
     ),
     (&["timeout", "delay", "Timeout", "Delay", "delays"], "in Armarium this is `after: {5s: Target}`"),
     (
-        &["Retry", "RetryUntilSuccessful", "num_attempts", "Repeat", "KeepRunningUntilFailure"],
+        &[
+            "Retry",
+            "RetryUntilSuccessful",
+            "num_attempts",
+            "max_attempts",
+            "retries",
+            "repeat",
+            "Repeat",
+            "KeepRunningUntilFailure",
+        ],
         "in Armarium this is `retry: {times: 3, wait: 1s}`",
     ),
     (
@@ -88,7 +133,23 @@ const WORDS: &[Words] = &[
     (&["EndState"], "in Armarium this is `Name: {final: outcome}`"),
     (&["meta", "tags"], "in Armarium what is for people is `description`"),
     (&["priority"], "in Armarium inner states come first, then the order in the file"),
-    (&["trigger", "emit"], "in Armarium this is an action: `enter: [{raise: event}]`"),
+    (&["trigger", "emit", "raise"], "in Armarium this is an action: `enter: [{raise: event}]`"),
+    (
+        &["send", "assign", "log", "cancel", "foreach", "do"],
+        "in Armarium actions stand under `enter` or `exit`, or `do` at a transition",
+    ),
+    (
+        &["if", "switch", "choice", "choose", "junction"],
+        "in Armarium a choice is `always: [{if: \"expression\", target: State}, Other]`",
+    ),
+    (
+        &["every", "interval", "loop"],
+        "in Armarium a state that is entered again and again leads to itself: `after: {5s: Name}`",
+    ),
+    (
+        &["autonomy"],
+        "in Armarium nobody has to confirm a transition; an event that a person sends is declared under `events`",
+    ),
     (
         &["reenter", "external"],
         "in Armarium a transition to a state leaves and enters it anew; `internal: true` keeps it",
@@ -96,7 +157,7 @@ const WORDS: &[Words] = &[
     (&["id", "name"], "in Armarium the key above is the name of a state"),
     (&["eventless", "automatic"], "in Armarium this is `always: Target`"),
     (
-        &["onDone", "onError", "done", "error"],
+        &["onDone", "onError", "done", "error", "outcomes"],
         "in Armarium outcomes are events: `transitions: {success: ..., failure: ...}`",
     ),
     (
@@ -126,10 +187,15 @@ const SAME: &[(&str, &[&str])] = &[
     ("locals", &["variables", "vars"]),
 ];
 
-/// Words for keys that only transitions in lists have.
-const IN_LISTS: &[(&str, &[&str], &str)] = &[
+/// Words for keys that only one form needs: a transition in a list, a chart.
+const IN_FORMS: &[(&str, &[&str], &str)] = &[
     ("event", &["trigger", "on", "name", "signal", "id"], "in Armarium this is `event: name`"),
     ("for", &["delay", "after", "time", "timeout", "in"], "in Armarium this is `for: 5s`"),
+    (
+        "statechart",
+        &["name", "id", "title", "machine", "scxml", "key"],
+        "in Armarium this is `statechart: Name`",
+    ),
 ];
 
 /// Whether a value can stand under a key of a chart.
@@ -156,7 +222,7 @@ pub(super) fn meant(
 ) -> Option<(&'static str, Option<&'static str>)> {
     let required = |name: &str| keys.iter().any(|key| key.name == name && key.required);
     if let Some((same, _, help)) =
-        IN_LISTS.iter().find(|(same, words, _)| required(same) && words.contains(&key))
+        IN_FORMS.iter().find(|(same, words, _)| required(same) && words.contains(&key))
     {
         return Some((help, Some(*same).filter(|same| has_form_of(same, node))));
     }

@@ -10,10 +10,10 @@ use super::catalog::{ChannelSchema, Registry};
 use super::compile::compile;
 use super::flatten::{Inside, Tree, flatten};
 use super::library::Library;
-use super::model::{Chart, Kind};
+use super::model::{Chart, WrittenKind};
 use super::scoped::{Scoped, scoped};
 use super::symbols::{Collector, NameReference, SkillPart, Symbol, parts};
-use crate::program::{Kind as ProgramKind, Program, StateId};
+use crate::program::{Kind, Program, StateId};
 
 /// Every name in the charts of a library that are used, ordered by file and place. What stands for nothing is left out.
 #[must_use]
@@ -80,10 +80,12 @@ impl Indexing<'_, '_> {
         for (id, flat) in (0..).zip(&self.tree.states).skip(1) {
             self.add(id, &flat.model.name, true, self.tree.symbol(id));
             match &flat.model.kind {
-                Kind::Skill(name) | Kind::Remote(name) => {
+                WrittenKind::Skill(name) | WrittenKind::Remote(name) => {
                     self.add(id, name, false, Symbol::Skill { skill: name.text.clone() });
                 }
-                Kind::Chart(name) => self.add(id, name, false, Symbol::Chart { chart: name.text.clone() }),
+                WrittenKind::Chart(name) => {
+                    self.add(id, name, false, Symbol::Chart { chart: name.text.clone() })
+                }
                 _ => {}
             }
             for watch in &flat.model.watch {
@@ -108,7 +110,7 @@ impl Indexing<'_, '_> {
             (Inside::Chart { chart, .. }, _) => {
                 Symbol::Outcome { chart: chart.name.clone(), state: String::new(), name }
             }
-            (_, ProgramKind::Skill { manifest }) => {
+            (_, Kind::Skill { manifest }) => {
                 Symbol::OfSkill { skill: manifest.name.clone(), part: SkillPart::Outcome, name }
             }
             _ => {
@@ -126,7 +128,7 @@ impl Indexing<'_, '_> {
             let symbol = self.symbol(one);
             if let Some(at) = one.at {
                 let end = match &self.tree.state(at).model.kind {
-                    Kind::Final(outcome) => Some(outcome),
+                    WrittenKind::Final(outcome) => Some(outcome),
                     _ => None,
                 };
                 end.into_iter().for_each(|outcome| self.add(at, outcome, true, symbol.clone()));
@@ -139,7 +141,7 @@ impl Indexing<'_, '_> {
         let mut by_skill: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
         let mut by_name: BTreeMap<&str, BTreeSet<Symbol>> = BTreeMap::new();
         for (id, state) in (0..).zip(&self.program.states).skip(1) {
-            if let ProgramKind::Skill { manifest } = &state.kind {
+            if let Kind::Skill { manifest } = &state.kind {
                 for event in &manifest.events {
                     by_skill.entry(event).or_default().insert(&manifest.name);
                 }

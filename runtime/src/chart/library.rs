@@ -7,7 +7,7 @@ use std::sync::Arc;
 use armarium_source::yaml::{self, Named};
 use armarium_source::{Disk, Files, Finding, Findings, Source, Span, code, outermost};
 
-use super::model::{Chart, Kind, State};
+use super::model::{Chart, WrittenKind, WrittenState};
 use super::read;
 use crate::skill::SkillManifest;
 
@@ -164,15 +164,15 @@ impl Library {
     }
 }
 
-fn named_remotes(state: &State, names: &mut BTreeSet<String>) {
-    if let Kind::Remote(name) = &state.kind {
+fn named_remotes(state: &WrittenState, names: &mut BTreeSet<String>) {
+    if let WrittenKind::Remote(name) = &state.kind {
         names.insert(name.text.clone());
     }
     state.kind.children().iter().for_each(|child| named_remotes(child, names));
 }
 
-fn named_charts<'s>(state: &'s State, names: &mut Vec<&'s Named>) {
-    if let Kind::Chart(name) = &state.kind {
+fn named_charts<'s>(state: &'s WrittenState, names: &mut Vec<&'s Named>) {
+    if let WrittenKind::Chart(name) = &state.kind {
         names.push(name);
     }
     state.kind.children().iter().for_each(|child| named_charts(child, names));

@@ -227,8 +227,10 @@ impl Lint<'_, '_> {
     /// Whether a state names a skill or a chart that could not be found.
     fn is_missing(&self, state: StateId) -> bool {
         let flat = self.tree.state(state);
-        let names =
-            matches!(flat.model.kind, model::Kind::Skill(_) | model::Kind::Chart(_) | model::Kind::Remote(_));
+        let names = matches!(
+            flat.model.kind,
+            model::WrittenKind::Skill(_) | model::WrittenKind::Chart(_) | model::WrittenKind::Remote(_)
+        );
         names && matches!(flat.inside, Inside::Nothing)
     }
 
@@ -238,9 +240,9 @@ impl Lint<'_, '_> {
             if s.state == 0 || s.own_only || s.name == "failure" {
                 continue;
             }
-            let Program { tables, symbols, .. } = self.program;
-            let taken = symbols.find(s.name).is_some_and(|symbol| {
-                self.program.outward(s.state).any(|state| !tables.exact(state, symbol).is_empty())
+            let Program { tables, event_names, .. } = self.program;
+            let taken = event_names.find(s.name).is_some_and(|number| {
+                self.program.outward(s.state).any(|state| !tables.exact(state, number).is_empty())
             });
             let meant = || {
                 let named = |state| misspelt.contains(&(state, s.name.to_owned()));
@@ -351,20 +353,20 @@ impl Lint<'_, '_> {
 }
 
 /// The events that the actions of a state and of those inside raise or send to the chart itself.
-pub(super) fn raised(state: &model::State, names: &mut BTreeSet<String>) {
+pub(super) fn raised(state: &model::WrittenState, names: &mut BTreeSet<String>) {
     let of_transitions = state.transitions.iter().chain(&state.always).chain(&state.after);
     of_transitions.for_each(|t| raised_by(&t.actions, names));
     raised_by(&state.enter, names);
     raised_by(&state.exit, names);
-    if let model::Kind::Composite { initial: entry, .. } | model::Kind::History { default: entry, .. } =
-        &state.kind
+    if let model::WrittenKind::Composite { initial: entry, .. }
+    | model::WrittenKind::History { default: entry, .. } = &state.kind
     {
         raised_by(&entry.actions, names);
     }
     state.kind.children().iter().for_each(|child| raised(child, names));
 }
 
-fn raised_by(actions: &[model::Action], names: &mut BTreeSet<String>) {
+fn raised_by(actions: &[model::WrittenAction], names: &mut BTreeSet<String>) {
     for action in actions {
         match &action.kind {
             ActionKind::Raise { event, .. } | ActionKind::Send { event, to: None, .. } => {

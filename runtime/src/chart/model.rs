@@ -36,7 +36,7 @@ pub struct Chart {
     pub(crate) probes: Vec<Named>,
     /// Where the defaults of inputs and locals stand, by the name.
     pub(crate) defaults: Vec<(String, Span)>,
-    pub(crate) root: State,
+    pub(crate) root: WrittenState,
 }
 
 impl Chart {
@@ -86,13 +86,13 @@ impl Chart {
 }
 
 /// The outcomes of the final states of a state, or of its regions.
-fn finals(state: &State, outcomes: &mut BTreeSet<String>) {
+fn finals(state: &WrittenState, outcomes: &mut BTreeSet<String>) {
     for child in state.kind.children() {
         match &child.kind {
-            Kind::Final(outcome) => {
+            WrittenKind::Final(outcome) => {
                 outcomes.insert(outcome.text.clone());
             }
-            _ if matches!(state.kind, Kind::Parallel(_)) => finals(child, outcomes),
+            _ if matches!(state.kind, WrittenKind::Parallel(_)) => finals(child, outcomes),
             _ => {}
         }
     }
@@ -108,44 +108,44 @@ pub(crate) struct DeclaredChannel {
 }
 
 #[derive(Debug)]
-pub(crate) struct State {
+pub(crate) struct WrittenState {
     pub(crate) name: Named,
     /// For people.
     pub(crate) description: String,
-    pub(crate) kind: Kind,
+    pub(crate) kind: WrittenKind,
     pub(crate) with: Vec<(Named, Node)>,
-    pub(crate) enter: Vec<Action>,
-    pub(crate) exit: Vec<Action>,
-    pub(crate) watch: Vec<Watch>,
-    pub(crate) after: Vec<Transition>,
-    pub(crate) always: Vec<Transition>,
-    pub(crate) transitions: Vec<Transition>,
+    pub(crate) enter: Vec<WrittenAction>,
+    pub(crate) exit: Vec<WrittenAction>,
+    pub(crate) watch: Vec<WrittenWatch>,
+    pub(crate) after: Vec<WrittenTransition>,
+    pub(crate) always: Vec<WrittenTransition>,
+    pub(crate) transitions: Vec<WrittenTransition>,
     pub(crate) retry: Option<Retry>,
     pub(crate) limits: Limits,
     pub(crate) unbreakable: bool,
 }
 
 #[derive(Debug)]
-pub(crate) enum Kind {
+pub(crate) enum WrittenKind {
     Atomic,
     Skill(Named),
     Chart(Named),
     Remote(Named),
-    Composite { initial: Entry, states: Vec<State> },
-    Parallel(Vec<State>),
+    Composite { initial: WrittenEntry, states: Vec<WrittenState> },
+    Parallel(Vec<WrittenState>),
     Final(Named),
-    History { deep: bool, default: Entry },
+    History { deep: bool, default: WrittenEntry },
 }
 
 /// `initial` and a history's `default`: what is entered, and what is done then.
 #[derive(Debug, Default)]
-pub(crate) struct Entry {
+pub(crate) struct WrittenEntry {
     pub(crate) targets: Vec<Named>,
-    pub(crate) actions: Vec<Action>,
+    pub(crate) actions: Vec<WrittenAction>,
 }
 
-impl Kind {
-    pub(crate) fn children(&self) -> &[State] {
+impl WrittenKind {
+    pub(crate) fn children(&self) -> &[WrittenState] {
         match self {
             Self::Composite { states, .. } | Self::Parallel(states) => states,
             _ => &[],
@@ -154,7 +154,7 @@ impl Kind {
 }
 
 #[derive(Debug)]
-pub(crate) struct Transition {
+pub(crate) struct WrittenTransition {
     pub(crate) span: Span,
     /// The event that takes it; none for `always` and `after`.
     pub(crate) event: Option<Named>,
@@ -162,12 +162,12 @@ pub(crate) struct Transition {
     pub(crate) targets: Vec<Named>,
     pub(crate) internal: bool,
     pub(crate) guard: Option<Node>,
-    pub(crate) actions: Vec<Action>,
+    pub(crate) actions: Vec<WrittenAction>,
     pub(crate) with: Vec<(Named, Node)>,
 }
 
 #[derive(Debug)]
-pub(crate) struct Watch {
+pub(crate) struct WrittenWatch {
     pub(crate) name: Named,
     pub(crate) condition: Node,
     pub(crate) hold_s: f64,
@@ -181,7 +181,7 @@ pub(crate) struct Retry {
 }
 
 #[derive(Debug)]
-pub(crate) struct Action {
+pub(crate) struct WrittenAction {
     pub(crate) span: Span,
     pub(crate) kind: ActionKind,
 }
@@ -193,6 +193,6 @@ pub(crate) enum ActionKind {
     Send { event: Named, to: Option<Node>, data: Option<Node>, delay: Option<Node>, id: Option<Named> },
     Cancel(Named),
     Log(Node),
-    If { condition: Node, then: Vec<Action>, otherwise: Vec<Action> },
-    Foreach { items: Node, variable: Named, body: Vec<Action> },
+    If { condition: Node, then: Vec<WrittenAction>, otherwise: Vec<WrittenAction> },
+    Foreach { items: Node, variable: Named, body: Vec<WrittenAction> },
 }

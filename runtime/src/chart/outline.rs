@@ -5,7 +5,7 @@ use armarium_source::Span;
 use armarium_source::yaml::{Node, Yaml};
 use serde::Serialize;
 
-use super::model::{self, Action, ActionKind, Chart, Kind, State};
+use super::model::{self, ActionKind, Chart, WrittenAction, WrittenKind, WrittenState};
 
 /// A chart's states and transitions; state 0 is the chart itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -106,7 +106,12 @@ impl Outline {
         parts.join(".")
     }
 
-    fn add<'m>(&mut self, model: &'m State, parent: Option<usize>, models: &mut Vec<&'m State>) -> usize {
+    fn add<'m>(
+        &mut self,
+        model: &'m WrittenState,
+        parent: Option<usize>,
+        models: &mut Vec<&'m WrittenState>,
+    ) -> usize {
         let at = self.states.len();
         models.push(model);
         self.states.push(OutlineState {
@@ -127,10 +132,10 @@ impl Outline {
         at
     }
 
-    fn connect(&mut self, at: usize, model: &State) {
+    fn connect(&mut self, at: usize, model: &WrittenState) {
         let initial = match &model.kind {
-            Kind::Composite { initial, .. } => Some(initial),
-            Kind::History { default, .. } => Some(default),
+            WrittenKind::Composite { initial, .. } => Some(initial),
+            WrittenKind::History { default, .. } => Some(default),
             _ => None,
         };
         let names = initial.map_or(&[][..], |entry| &entry.targets);
@@ -171,20 +176,20 @@ impl Outline {
     }
 }
 
-fn kind(kind: &Kind) -> OutlineKind {
+fn kind(kind: &WrittenKind) -> OutlineKind {
     match kind {
-        Kind::Atomic => OutlineKind::Waits,
-        Kind::Skill(name) => OutlineKind::Skill(name.text.clone()),
-        Kind::Chart(name) => OutlineKind::Chart(name.text.clone()),
-        Kind::Remote(name) => OutlineKind::Remote(name.text.clone()),
-        Kind::Composite { .. } => OutlineKind::Composite,
-        Kind::Parallel(_) => OutlineKind::Parallel,
-        Kind::Final(outcome) => OutlineKind::Final(outcome.text.clone()),
-        Kind::History { deep, .. } => OutlineKind::History { deep: *deep },
+        WrittenKind::Atomic => OutlineKind::Waits,
+        WrittenKind::Skill(name) => OutlineKind::Skill(name.text.clone()),
+        WrittenKind::Chart(name) => OutlineKind::Chart(name.text.clone()),
+        WrittenKind::Remote(name) => OutlineKind::Remote(name.text.clone()),
+        WrittenKind::Composite { .. } => OutlineKind::Composite,
+        WrittenKind::Parallel(_) => OutlineKind::Parallel,
+        WrittenKind::Final(outcome) => OutlineKind::Final(outcome.text.clone()),
+        WrittenKind::History { deep, .. } => OutlineKind::History { deep: *deep },
     }
 }
 
-fn activities(model: &State) -> Vec<String> {
+fn activities(model: &WrittenState) -> Vec<String> {
     let mut list = Vec::new();
     for (when, actions) in [("enter", &model.enter), ("exit", &model.exit)] {
         list.extend(actions.iter().map(|a| format!("{when} / {}", action(a))));
@@ -202,7 +207,7 @@ fn activities(model: &State) -> Vec<String> {
     list
 }
 
-fn event(transition: &model::Transition) -> String {
+fn event(transition: &model::WrittenTransition) -> String {
     match (&transition.event, &transition.delay) {
         (Some(event), _) => event.text.clone(),
         (None, Some(delay)) => format!("after {}", text(delay)),
@@ -210,7 +215,7 @@ fn event(transition: &model::Transition) -> String {
     }
 }
 
-fn action(action: &Action) -> String {
+fn action(action: &WrittenAction) -> String {
     match &action.kind {
         ActionKind::Assign(entries) => {
             let each = entries.iter().map(|(name, value)| format!("{} = {}", name.text, text(value)));

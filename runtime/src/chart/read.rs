@@ -9,7 +9,7 @@ use armarium_values::{Type, Unit};
 
 use super::catalog::ChannelDescription;
 use super::literals::{literal, negative_time};
-use super::model::{Chart, DeclaredChannel, Kind};
+use super::model::{Chart, DeclaredChannel, WrittenKind};
 use super::symbols::Section;
 use super::{foreign, forms};
 use crate::skill::{Limits, Parameter};
@@ -201,7 +201,7 @@ impl ChartReader<'_> {
         let probes = get(entries, "probes").map_or(&[][..], Node::items);
         let probes = probes.iter().filter_map(|node| self.text(node)).collect();
         let root = self.state(name.clone(), node.span, entries, 0, true)?;
-        if matches!(root.kind, Kind::Atomic) && only_known(entries, forms::CHART) {
+        if matches!(root.kind, WrittenKind::Atomic) && only_known(entries, forms::CHART) {
             self.error(code::MISSING_KEY, name.span, "a chart has `states` with `initial`, or `parallel`");
         }
         let source = Arc::clone(&self.findings.source);

@@ -5,7 +5,10 @@ use std::sync::Arc;
 use armarium_source::yaml::{Entries, Named, Node, Yaml};
 use armarium_source::{Edit, Remedy, Span, code};
 
-use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
+use super::model::{
+    ActionKind, Retry, WrittenAction, WrittenEntry, WrittenKind, WrittenState, WrittenTransition,
+    WrittenWatch,
+};
 use super::read::{ChartReader, MAX_LEVELS, get, only_known};
 use super::{foreign, forms};
 
@@ -34,7 +37,7 @@ impl ChartReader<'_> {
         entries: &Entries,
         level: usize,
         root: bool,
-    ) -> Option<State> {
+    ) -> Option<WrittenState> {
         if level > MAX_LEVELS {
             self.error(code::LIMIT, name.span, format!("states are nested deeper than {MAX_LEVELS} levels"));
             return None;
@@ -47,9 +50,9 @@ impl ChartReader<'_> {
         let unbreakable = self.flag(entries, "unbreakable");
         let with = get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec());
         // Where a key is misspelt, nobody knows yet what takes the inputs.
-        let misspelt = matches!(kind, Kind::Atomic) && !only_known(entries, forms::STATE);
+        let misspelt = matches!(kind, WrittenKind::Atomic) && !only_known(entries, forms::STATE);
         let description = self.words(entries, "description");
-        Some(State {
+        Some(WrittenState {
             description,
             kind,
             with: if misspelt { Vec::new() } else { with },
@@ -77,7 +80,7 @@ impl ChartReader<'_> {
         }
     }
 
-    fn kind(&mut self, name: &Named, span: Span, entries: &Entries, level: usize, root: bool) -> Kind {
+    fn kind(&mut self, name: &Named, span: Span, entries: &Entries, level: usize, root: bool) -> WrittenKind {
         const KINDS: [&str; 7] = ["skill", "statechart", "remote", "states", "parallel", "final", "history"];
         let given: Vec<&(Named, Node)> = entries
             .iter()
@@ -92,7 +95,11 @@ impl ChartReader<'_> {
             self.error(code::KIND, second.span, message);
             self.findings.remedy(Remedy::Remove(second.span));
         }
-        let Some((key, node)) = given.first() else { return Kind::Atomic };
+        let form = if root { forms::CHART } else { forms::STATE };
+        if given.len() < 2 && only_known(entries, form) {
+            self.unused(given.first().map(|(key, _)| key.text.as_str()), entries);
+        }
+        let Some((key, node)) = given.first() else { return WrittenKind::Atomic };
         if key.text == "final" {
             let ways = ["transitions", "after", "always", "watch", "retry"];
             for (way, _) in entries.iter().filter(|(key, _)| ways.contains(&key.text.as_str())) {
@@ -107,9 +114,8 @@ impl ChartReader<'_> {
             "states" => {
                 let states = self.states(node, level);
                 let Some(initial) = get(entries, "initial") else {
-                    let keys = if root { forms::CHART } else { forms::STATE };
-                    if !only_known(entries, keys) {
-                        return Kind::Composite { initial: Entry::default(), states };
+                    if !only_known(entries, form) {
+                        return WrittenKind::Composite { initial: WrittenEntry::default(), states };
                     }
                     let help = match states.first() {
                         Some(first) => {
@@ -124,14 +130,14 @@ impl ChartReader<'_> {
                         let key = "initial".to_owned();
                         self.findings.remedy(Remedy::Add { owner, sections: Vec::new(), key, value });
                     }
-                    return Kind::Composite { initial: Entry::default(), states };
+                    return WrittenKind::Composite { initial: WrittenEntry::default(), states };
                 };
-                Kind::Composite { initial: self.entry(initial), states }
+                WrittenKind::Composite { initial: self.entry(initial), states }
             }
-            "parallel" => Kind::Parallel(self.states(node, level)),
+            "parallel" => WrittenKind::Parallel(self.states(node, level)),
             "final" if !matches!(node.value, Yaml::String(_)) => {
                 self.form_of_final(node);
-                Kind::Final(Named { span: node.span, text: "success".into() })
+                WrittenKind::Final(Named { span: node.span, text: "success".into() })
             }
             "history" => {
                 let default = get(entries, "default").map(|n| self.entry(n));
@@ -143,27 +149,52 @@ impl ChartReader<'_> {
                 if default.is_none() {
                     self.error(code::MISSING_KEY, span, "history needs `default: Target`");
                 }
-                Kind::History {
+                WrittenKind::History {
                     deep: form.is_some_and(|f| f.text == "deep"),
                     default: default.unwrap_or_default(),
                 }
             }
             key => match (key, self.text(node)) {
-                ("skill", Some(name)) => Kind::Skill(name),
-                ("statechart", Some(name)) => Kind::Chart(name),
-                ("remote", Some(name)) => Kind::Remote(name),
-                ("final", Some(outcome)) => Kind::Final(outcome),
-                _ => Kind::Atomic,
+                ("skill", Some(name)) => WrittenKind::Skill(name),
+                ("statechart", Some(name)) => WrittenKind::Chart(name),
+                ("remote", Some(name)) => WrittenKind::Remote(name),
+                ("final", Some(outcome)) => WrittenKind::Final(outcome),
+                _ => WrittenKind::Atomic,
             },
         }
     }
 
+    /// Keys that a state of this kind never uses. A final state's own are another finding.
+    fn unused(&mut self, kind: Option<&str>, entries: &Entries) {
+        let of = |key: &str| match key {
+            "initial" if kind != Some("states") => Some("`initial` belongs to `states`"),
+            "default" if kind != Some("history") => Some("`default` belongs to `history`"),
+            "retry" if kind.is_none() => {
+                Some("only what can fail is tried again: a skill, a chart, inner states")
+            }
+            "with" | "enter" | "exit" | "watch" | "after" | "always" | "transitions" | "retry" | "limits"
+            | "unbreakable"
+                if kind == Some("history") =>
+            {
+                Some("a history only stands for other states, which have their own")
+            }
+            _ => None,
+        };
+        for (key, _) in entries {
+            if let Some(help) = of(&key.text) {
+                let message = format!("`{}` is never used here", key.text);
+                self.error_help(code::KIND, key.span, &message, help);
+                self.findings.remedy(Remedy::Remove(key.span));
+            }
+        }
+    }
+
     /// `parallel: true` beside `states`: other languages have a flag.
-    fn parallel_as_a_flag(&mut self, flag: &Node, entries: &Entries, level: usize) -> Kind {
+    fn parallel_as_a_flag(&mut self, flag: &Node, entries: &Entries, level: usize) -> WrittenKind {
         let help = "write `parallel:` for `states:`; all regions are entered, so that there is no `initial`";
         self.error_help(code::FORM, flag.span, "the regions stand under `parallel`", help);
         let key = |name: &str| entries.iter().find(|(key, _)| key.text == name);
-        let Some((states, regions)) = key("states") else { return Kind::Atomic };
+        let Some((states, regions)) = key("states") else { return WrittenKind::Atomic };
         let source = Arc::clone(&self.findings.source);
         let removed = ["parallel", "initial"].into_iter().filter_map(key);
         let mut edits: Vec<Edit> =
@@ -171,7 +202,7 @@ impl ChartReader<'_> {
         edits.push(Edit { span: states.span, text: "parallel".into() });
         edits.sort_by_key(|edit| edit.span.start);
         self.findings.remedy(Remedy::Replace(edits));
-        Kind::Parallel(self.states(regions, level))
+        WrittenKind::Parallel(self.states(regions, level))
     }
 
     /// `final: true` and the like: other languages have a flag, and the outcome elsewhere.
@@ -185,16 +216,16 @@ impl ChartReader<'_> {
     }
 
     /// `Name`, `[A.X, B.Y]` for states of several regions, or `{target, do}`.
-    fn entry(&mut self, node: &Node) -> Entry {
+    fn entry(&mut self, node: &Node) -> WrittenEntry {
         let Yaml::Map(entries) = &node.value else {
-            return Entry { targets: self.targets(node), actions: Vec::new() };
+            return WrittenEntry { targets: self.targets(node), actions: Vec::new() };
         };
         self.known(entries, forms::ENTRY, "an initial transition");
         let Some(target) = get(entries, "target") else {
             self.error(code::MISSING_KEY, node.span, "a `target` is needed here");
-            return Entry::default();
+            return WrittenEntry::default();
         };
-        Entry { targets: self.targets(target), actions: self.actions(get(entries, "do")) }
+        WrittenEntry { targets: self.targets(target), actions: self.actions(get(entries, "do")) }
     }
 
     /// One name, or a list of them.
@@ -209,7 +240,7 @@ impl ChartReader<'_> {
         }
     }
 
-    fn states(&mut self, node: &Node, level: usize) -> Vec<State> {
+    fn states(&mut self, node: &Node, level: usize) -> Vec<WrittenState> {
         let mut states = Vec::new();
         if let Yaml::List(items) = &node.value {
             let help = "write each as `Name: {skill: ...}`, without `-`";
@@ -250,7 +281,7 @@ impl ChartReader<'_> {
         Some(Retry { times, wait_s })
     }
 
-    fn watches(&mut self, entries: &Entries) -> Vec<Watch> {
+    fn watches(&mut self, entries: &Entries) -> Vec<WrittenWatch> {
         let Some(node) = get(entries, "watch") else { return Vec::new() };
         let mut watches = Vec::new();
         for (name, node) in self.entries(node) {
@@ -267,12 +298,12 @@ impl ChartReader<'_> {
             let Some(condition) = condition else { continue };
             let hold_s = get(form, "for").and_then(|n| self.duration(n)).unwrap_or(0.0);
             let until = get(form, "until").cloned();
-            watches.push(Watch { name: name.clone(), condition: condition.clone(), hold_s, until });
+            watches.push(WrittenWatch { name: name.clone(), condition: condition.clone(), hold_s, until });
         }
         watches
     }
 
-    fn after(&mut self, entries: &Entries) -> Vec<Transition> {
+    fn after(&mut self, entries: &Entries) -> Vec<WrittenTransition> {
         let Some(node) = get(entries, "after") else { return Vec::new() };
         let mut result = Vec::new();
         match &node.value {
@@ -325,7 +356,7 @@ impl ChartReader<'_> {
         result
     }
 
-    fn transitions(&mut self, entries: &Entries) -> Vec<Transition> {
+    fn transitions(&mut self, entries: &Entries) -> Vec<WrittenTransition> {
         let Some(node) = get(entries, "transitions") else { return Vec::new() };
         let mut result = Vec::new();
         // A list where the order of different events matters: `[{event, target, ...}]`.
@@ -410,15 +441,15 @@ impl ChartReader<'_> {
         }
     }
 
-    fn transition_list(&mut self, node: &Node, event: Option<&Named>) -> Vec<Transition> {
+    fn transition_list(&mut self, node: &Node, event: Option<&Named>) -> Vec<WrittenTransition> {
         match &node.value {
             Yaml::List(items) => items.iter().map(|n| self.transition(n, event, false)).collect(),
             _ => vec![self.transition(node, event, false)],
         }
     }
 
-    fn transition(&mut self, node: &Node, event: Option<&Named>, checked: bool) -> Transition {
-        let mut result = Transition {
+    fn transition(&mut self, node: &Node, event: Option<&Named>, checked: bool) -> WrittenTransition {
+        let mut result = WrittenTransition {
             span: event.map_or(node.span, |e| e.span),
             event: event.cloned(),
             delay: None,
@@ -447,7 +478,7 @@ impl ChartReader<'_> {
         result
     }
 
-    fn actions(&mut self, node: Option<&Node>) -> Vec<Action> {
+    fn actions(&mut self, node: Option<&Node>) -> Vec<WrittenAction> {
         let Some(node) = node else { return Vec::new() };
         match &node.value {
             Yaml::Null => Vec::new(),
@@ -456,14 +487,24 @@ impl ChartReader<'_> {
         }
     }
 
-    fn action(&mut self, node: &Node) -> Option<Action> {
+    fn action(&mut self, node: &Node) -> Option<WrittenAction> {
         let Yaml::Map(entries) = &node.value else {
             self.text_as_an_action(node);
             return None;
         };
         let [(key, value)] = entries.as_slice() else {
             let message = format!("an action has one key, of {}", actions().join(", "));
-            self.error(code::FORM, node.span, message);
+            match entries.first() {
+                Some((key, Node { value: Yaml::String(event), .. }))
+                    if ["raise", "send"].contains(&key.text.as_str()) =>
+                {
+                    let others = entries.iter().skip(1).map(|(key, _)| format!("{}: ...", key.text));
+                    let others = others.collect::<Vec<_>>().join(", ");
+                    let help = format!("write `{{{}: {{event: {event}, {others}}}}}`", key.text);
+                    self.error_help(code::FORM, node.span, &message, &help);
+                }
+                _ => self.error(code::FORM, node.span, message),
+            }
             return None;
         };
         let kind = match key.text.as_str() {
@@ -497,7 +538,7 @@ impl ChartReader<'_> {
                 return None;
             }
         };
-        Some(Action { span: value.span, kind })
+        Some(WrittenAction { span: value.span, kind })
     }
 
     /// `log hello` where `{log: hello}` is meant.

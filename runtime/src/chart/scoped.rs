@@ -26,7 +26,7 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped<'_>> {
     for (id, state) in (0..).zip(&program.states).skip(1) {
         for watch in &state.watches {
             let name = program.watches[*watch as usize].name;
-            add(id, program.symbols.name(name), false, true, None);
+            add(id, program.event_names.name(name), false, true, None);
         }
         match &state.kind {
             Kind::Skill { manifest } => {
@@ -37,7 +37,7 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped<'_>> {
                 // The composite around ends.
                 let Some(parent) = state.parent.map(user) else { continue };
                 let region = program.state(parent).region;
-                let outcome = program.symbols.name(*outcome);
+                let outcome = program.event_names.name(*outcome);
                 add(parent, outcome, region, false, Some(id));
                 if region && let Some(parallel) = program.state(parent).parent {
                     // It ends when all its regions have; where one never does, nobody need handle it.

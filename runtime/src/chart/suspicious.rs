@@ -12,7 +12,7 @@ use armarium_values::{Type, Value};
 use super::flatten::Tree;
 use super::library::Library;
 use super::lint::raised;
-use super::model::{self, Action, ActionKind, Chart};
+use super::model::{self, ActionKind, Chart, WrittenAction};
 use super::scoped::{can_end, reached};
 use super::symbols::Section;
 use crate::program::{Kind, Pattern, Program, StateId};
@@ -369,7 +369,7 @@ struct Written<'p> {
 }
 
 impl Written<'_> {
-    fn state(&mut self, state: &model::State) {
+    fn state(&mut self, state: &model::WrittenState) {
         let lost = std::mem::replace(&mut self.lost, !self.used.reached.contains(&state.name.span.start));
         self.values(&state.with);
         self.actions(&state.enter);
@@ -378,8 +378,8 @@ impl Written<'_> {
             self.values(&transition.with);
             self.actions(&transition.actions);
         }
-        if let model::Kind::Composite { initial: entry, .. } | model::Kind::History { default: entry, .. } =
-            &state.kind
+        if let model::WrittenKind::Composite { initial: entry, .. }
+        | model::WrittenKind::History { default: entry, .. } = &state.kind
         {
             self.actions(&entry.actions);
         }
@@ -387,7 +387,7 @@ impl Written<'_> {
         self.lost = lost;
     }
 
-    fn actions(&mut self, actions: &[Action]) {
+    fn actions(&mut self, actions: &[WrittenAction]) {
         for action in actions {
             match &action.kind {
                 ActionKind::Assign(entries) => {

@@ -9,7 +9,7 @@ use super::model;
 use crate::program::StateId;
 
 impl Compiler<'_> {
-    pub(super) fn initial(&mut self, site: &Site<'_>, initial: &model::Entry) -> Vec<StateId> {
+    pub(super) fn initial(&mut self, site: &Site<'_>, initial: &model::WrittenEntry) -> Vec<StateId> {
         let (tree, id) = (self.tree, site.state);
         let mut targets = Vec::new();
         for name in &initial.targets {
@@ -32,7 +32,7 @@ impl Compiler<'_> {
         targets
     }
 
-    pub(super) fn history_default(&mut self, site: &Site<'_>, default: &model::Entry) -> Vec<StateId> {
+    pub(super) fn history_default(&mut self, site: &Site<'_>, default: &model::WrittenEntry) -> Vec<StateId> {
         let parent = self.tree.state(site.state).parent.unwrap_or(0);
         let mut targets = Vec::new();
         for name in &default.targets {
@@ -51,7 +51,7 @@ impl Compiler<'_> {
     /// Several targets can only be entered together when they are in different regions of parallel states.
     pub(super) fn together(&mut self, site: &Site<'_>, targets: &[StateId], names: &[Named]) {
         let tree = self.tree;
-        let parallel = |s: StateId| matches!(tree.state(s).model.kind, model::Kind::Parallel(_));
+        let parallel = |s: StateId| matches!(tree.state(s).model.kind, model::WrittenKind::Parallel(_));
         for (i, a) in targets.iter().enumerate() {
             for b in &targets[i + 1..] {
                 let meet = tree.outward(*a).find(|s| tree.within(*b, *s));

@@ -8,7 +8,7 @@ use super::act::Failed;
 use super::event::{Event, Origin};
 use super::state::Turn;
 use super::{Effect, Engine, RunResult, TraceItem};
-use crate::program::{FAILURE, Kind, Program, SUCCESS, StateId, Symbol};
+use crate::program::{EventNumber, FAILURE, Kind, Program, SUCCESS, StateId};
 use crate::skill::{Failure, SkillManifest, SkillResult};
 
 /// The reason and the chain of states from a failure's data.
@@ -49,8 +49,8 @@ impl Engine {
                     self.store.data[*slot as usize] = value;
                 }
                 // Declared outcomes have numbers.
-                let symbol = program.symbols.find(&name).unwrap_or(SUCCESS);
-                Event::new(symbol, Value::Map(outputs), origin)
+                let number = program.event_names.find(&name).unwrap_or(SUCCESS);
+                Event::new(number, Value::Map(outputs), origin)
             }
             Err(failure) => {
                 let data = Value::record([("reason", failure.reason.into())]);
@@ -66,7 +66,7 @@ impl Engine {
         self.internal.push_back(Event::new(FAILURE, data, origin));
     }
 
-    pub(super) fn reached_final(&mut self, state: StateId, outcome: Symbol, turn: &mut Turn<'_>) {
+    pub(super) fn reached_final(&mut self, state: StateId, outcome: EventNumber, turn: &mut Turn<'_>) {
         let Some(parent) = turn.program.tables.parent(state) else { return };
         let mut data = self.final_data(state, outcome, turn);
         if outcome == FAILURE && !turn.program.is_root(parent) {
@@ -76,7 +76,7 @@ impl Engine {
     }
 
     /// The data of a final state: its `with`, and for a failure the reason and the chain.
-    fn final_data(&mut self, state: StateId, outcome: Symbol, turn: &mut Turn<'_>) -> Value {
+    fn final_data(&mut self, state: StateId, outcome: EventNumber, turn: &mut Turn<'_>) -> Value {
         let program = turn.program;
         let mut fields = match self.bindings(&program.state(state).with, turn) {
             Ok(fields) => fields,
@@ -103,11 +103,24 @@ impl Engine {
         if let Some(Value::Map(why)) = here.or(before.map(|(data, _)| data)) {
             for key in ["reason", "chain"] {
                 if let (false, Some(value)) = (fields.contains_key(key), why.get(key)) {
-                    fields.insert(key.to_owned(), value.clone());
+                    let own = key == "reason" && here.is_some();
+                    let said = if own { self.by_outcome(outcome, value, program) } else { None };
+                    fields.insert(key.to_owned(), said.unwrap_or_else(|| value.clone()));
                 }
             }
         }
         Value::Map(fields)
+    }
+
+    /// The reason of a failure that an outcome with another name led to: it says which.
+    fn by_outcome(&self, outcome: EventNumber, reason: &Value, program: &Program) -> Option<Value> {
+        let event = self.store.event.as_ref()?;
+        let Origin::Outcome { state, .. } = event.origin else { return None };
+        if outcome != FAILURE || event.number == FAILURE {
+            return None;
+        }
+        let (from, name, why) = (program.path(state), event.name(program), reason.as_str()?);
+        Some(format!("`{from}` ended with `{name}`: {why}").into())
     }
 
     /// How a failure without a reason of its own was reached.
@@ -137,7 +150,7 @@ impl Engine {
 
     /// A state has ended by itself: raises `done.state` for all states, and the outcome for the state and those
     /// around it.
-    fn report(&mut self, state: StateId, outcome: Symbol, data: Value, program: &Program) {
+    fn report(&mut self, state: StateId, outcome: EventNumber, data: Value, program: &Program) {
         let of = program.state(state);
         if let (true, Some(owner)) = (of.chart_root, of.parent) {
             return self.chart_ended(owner, outcome, data, program);
@@ -150,7 +163,7 @@ impl Engine {
     }
 
     /// The chart inside a state has ended: its outputs and its outcome become the state's.
-    fn chart_ended(&mut self, owner: StateId, outcome: Symbol, mut data: Value, program: &Program) {
+    fn chart_ended(&mut self, owner: StateId, outcome: EventNumber, mut data: Value, program: &Program) {
         if owner == 0 {
             self.ending.get_or_insert((outcome, data));
             return;
@@ -176,7 +189,7 @@ impl Engine {
     /// all its regions are done.
     pub(super) fn mark_done(&mut self, state: StateId, event: &Event, turn: &mut Turn<'_>) {
         let program = turn.program;
-        self.extra(state).done = Some(event.symbol);
+        self.extra(state).done = Some(event.number);
         turn.trace(|p| TraceItem::Done {
             state: p.path(state).to_owned(),
             outcome: event.name(p).to_owned(),
@@ -184,8 +197,8 @@ impl Engine {
         let of = program.state(state);
         let Some(parallel) = of.parent.filter(|_| of.region) else { return };
         let first_other = &mut self.extra(parallel).first_other;
-        if event.symbol != SUCCESS && first_other.is_none() {
-            *first_other = Some((event.symbol, event.data().clone()));
+        if event.number != SUCCESS && first_other.is_none() {
+            *first_other = Some((event.number, event.data().clone()));
         }
         let children = &program.state(parallel).children;
         if children.iter().all(|c| self.extra_of(*c).is_some_and(|e| e.done.is_some())) {

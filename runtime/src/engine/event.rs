@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 
-use crate::program::{FAILURE, Program, StateId, Symbol, UNKNOWN};
+use crate::program::{EventNumber, FAILURE, Program, StateId, UNKNOWN};
 
 /// The origin of an event.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +26,7 @@ pub(super) enum Origin {
 /// Kept small, as events are moved often: rare fields are behind a pointer.
 #[derive(Clone, Debug)]
 pub(super) struct Event {
-    pub(super) symbol: Symbol,
+    pub(super) number: EventNumber,
     /// The number of parts of its data; 0 for a scalar.
     parts: u32,
     pub(super) origin: Origin,
@@ -45,20 +45,20 @@ struct Rare {
 
 impl Event {
     #[inline]
-    pub(super) fn new(symbol: Symbol, data: Value, origin: Origin) -> Self {
+    pub(super) fn new(number: EventNumber, data: Value, origin: Origin) -> Self {
         let parts = match &data {
             Value::List(_) | Value::Map(_) | Value::String(_) | Value::Bytes(_) => data.parts(),
             _ => 0,
         };
         let parts = u32::try_from(parts).unwrap_or(u32::MAX);
         let data = if matches!(data, Value::Null) { None } else { Some(Box::new(data)) };
-        Self { symbol, parts, origin, data, rare: None }
+        Self { number, parts, origin, data, rare: None }
     }
 
     /// An event for all active states, by its name.
     pub(super) fn named(program: &Program, name: &str, data: Value) -> Self {
-        if let Some(symbol) = program.symbols.find(name) {
-            return Self::new(symbol, data, Origin::Broadcast);
+        if let Some(number) = program.event_names.find(name) {
+            return Self::new(number, data, Origin::Broadcast);
         }
         let rare = Rare { name: Some(name.into()), served: Vec::new() };
         Self { rare: Some(Box::new(rare)), ..Self::new(UNKNOWN, data, Origin::Broadcast) }
@@ -87,7 +87,7 @@ impl Event {
 
     pub(super) fn name<'e>(&'e self, program: &'e Program) -> &'e str {
         let other = self.rare.as_deref().and_then(|rare| rare.name.as_deref());
-        other.unwrap_or_else(|| program.symbols.name(self.symbol))
+        other.unwrap_or_else(|| program.event_names.name(self.number))
     }
 
     /// The state that the event belongs to, and the entry of that state that it was meant for.
@@ -102,7 +102,7 @@ impl Event {
     }
 
     pub(super) fn is_failure(&self) -> bool {
-        self.symbol == FAILURE && matches!(self.origin, Origin::Outcome { .. })
+        self.number == FAILURE && matches!(self.origin, Origin::Outcome { .. })
     }
 
     pub(super) fn is_error(&self, program: &Program) -> bool {

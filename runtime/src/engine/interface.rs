@@ -178,7 +178,7 @@ impl Sensors for NoSensors {
 
 /// One sample of a watch.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Observation {
+pub struct WatchSample {
     /// The condition.
     pub holds: bool,
     /// Whether a watch that has fired may fire again.

@@ -25,10 +25,12 @@ use std::sync::Arc;
 use armarium_values::Value;
 
 pub(crate) use circle::{Circle, RECORDED_BEFORE_BOUND};
-pub use interface::{Effect, Input, NoSensors, Observation, RunResult, Sensors};
-pub use record::{InputRecord, Recording, Replaying, SensorReading};
+pub use interface::{Effect, Input, NoSensors, RunResult, Sensors, WatchSample};
+pub use record::{InputRecord, RecordingSensors, Replaying, SensorReading};
 
-use crate::program::{Code, ERROR_CHANNEL, EventId, FAILURE, Instance, Program, StateId, Symbol, Variable};
+use crate::program::{
+    Code, ERROR_CHANNEL, EventId, EventNumber, FAILURE, Instance, Program, StateId, Variable,
+};
 use crate::skill::InputError;
 use crate::trace::TraceItem;
 use event::{Event, Origin};
@@ -74,7 +76,7 @@ pub struct Engine {
     /// The newest failure, for final states that give no reason.
     last_failure: Option<(Value, StateId)>,
     /// The outcome of the outermost chart, once it has ended.
-    ending: Option<(Symbol, Value)>,
+    ending: Option<(EventNumber, Value)>,
     shown: Vec<StateId>,
     /// The innermost states that were active when the run came to its end.
     ended_in: Vec<StateId>,
@@ -223,7 +225,7 @@ impl Engine {
 
     /// Samples a watch: whether its condition holds now, and whether it may fire again (`until`, or the condition's
     /// end).
-    pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> Observation {
+    pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> WatchSample {
         let watch = &self.program.watches[watch as usize];
         let view = RunContext { program: &self.program, store: &self.store, runs: &self.runs, sensors };
         let (mut error, mut blind) = (None, None);
@@ -238,7 +240,7 @@ impl Engine {
         };
         let holds = look(&watch.condition);
         let until = watch.until.as_ref().map_or(!holds, &mut look);
-        Observation { holds, until, error, blind }
+        WatchSample { holds, until, error, blind }
     }
 
     /// The program that this engine runs.
@@ -313,7 +315,7 @@ impl Engine {
                 if outcome == FAILURE {
                     chain.push(turn.program.name.clone());
                 }
-                let outcome = turn.program.symbols.name(outcome).to_owned();
+                let outcome = turn.program.event_names.name(outcome).to_owned();
                 self.finish_with(outcome, reason, chain, turn);
                 continue;
             }

@@ -45,18 +45,18 @@ impl Engine {
 }
 
 /// Sensors that forward to others and record every reading.
-pub struct Recording<'s> {
+pub struct RecordingSensors<'s> {
     inner: &'s dyn Sensors,
     seen: RefCell<Vec<SensorReading>>,
 }
 
-impl std::fmt::Debug for Recording<'_> {
+impl std::fmt::Debug for RecordingSensors<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Recording").field("seen", &self.seen).finish_non_exhaustive()
     }
 }
 
-impl<'s> Recording<'s> {
+impl<'s> RecordingSensors<'s> {
     /// Records what is read from `inner`.
     pub fn new(inner: &'s dyn Sensors) -> Self {
         Self { inner, seen: RefCell::new(Vec::new()) }
@@ -69,7 +69,7 @@ impl<'s> Recording<'s> {
     }
 }
 
-impl Sensors for Recording<'_> {
+impl Sensors for RecordingSensors<'_> {
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
         let value = self.inner.channel(channel, path);
         self.seen.borrow_mut().push(SensorReading::Channel(value.clone()));

@@ -6,13 +6,13 @@ use armarium_values::Value;
 use super::event::{Event, Origin};
 use super::state::{RunContext, Step, Turn};
 use super::{Engine, TraceItem};
-use crate::program::{FAILURE, Pattern, Program, StateId, Symbol};
+use crate::program::{EventNumber, FAILURE, Pattern, Program, StateId};
 
 /// The trigger of a selection.
 #[derive(Clone, Copy)]
 enum By {
     /// An event.
-    Event(Symbol),
+    Event(EventNumber),
     /// No event: eventless transitions.
     Nothing,
 }
@@ -35,13 +35,13 @@ impl Engine {
             from: event.scope().map(|(state, _)| p.path(state).to_owned()),
             data: event.data().clone(),
         });
-        let (symbol, origin) = (event.symbol, event.origin);
+        let (number, origin) = (event.number, event.origin);
         let ended = self.note_outcome(&event, turn.program);
         let served = self.store.event.insert(event).take_served();
         match origin {
             Origin::Retry { state, .. } => self.begin_again(state, turn),
             Origin::Broadcast | Origin::Error(_) => {
-                let taken = self.select(By::Event(symbol), &served, turn);
+                let taken = self.select(By::Event(number), &served, turn);
                 if taken.is_empty() {
                     self.enabled = taken;
                     self.unhandled(origin, turn);
@@ -55,7 +55,7 @@ impl Engine {
                 }
             }
             Origin::Outcome { state, .. } | Origin::Watch { state, .. } => {
-                match self.select_outward(symbol, origin, state, turn) {
+                match self.select_outward(number, origin, state, turn) {
                     Some(step) => self.begin_unless_held(step, turn),
                     None => self.unhandled(origin, turn),
                 }
@@ -83,12 +83,12 @@ impl Engine {
     /// first restarts a state with retries left.
     fn select_outward(
         &mut self,
-        symbol: Symbol,
+        number: EventNumber,
         origin: Origin,
         from: StateId,
         turn: &mut Turn<'_>,
     ) -> Option<Step> {
-        let failure = symbol == FAILURE && matches!(origin, Origin::Outcome { .. });
+        let failure = number == FAILURE && matches!(origin, Origin::Outcome { .. });
         // The end of a region is not offered to the states around it: the parallel state ends when all its regions
         // have ended. Only a failure that did not come from a final state of the region goes outward.
         let own_only = match origin {
@@ -100,7 +100,7 @@ impl Engine {
             if failure && self.retry_left(state, program) {
                 return Some(Step::Restart(state));
             }
-            for (_, t) in program.tables.exact(state, symbol) {
+            for (_, t) in program.tables.exact(state, number) {
                 if self.guard(*t, turn) {
                     return Some(Step::Take(vec![*t]));
                 }
@@ -218,10 +218,10 @@ impl Engine {
     /// The first transition of a state, in the file's order, that matches and whose guard holds.
     fn first_enabled(&mut self, state: StateId, by: By, turn: &mut Turn<'_>) -> Option<u32> {
         let program = turn.program;
-        let By::Event(symbol) = by else {
+        let By::Event(number) = by else {
             return program.tables.always(state).iter().copied().find(|t| self.guard(*t, turn));
         };
-        let exact = program.tables.exact(state, symbol);
+        let exact = program.tables.exact(state, number);
         let wild = program.tables.wild(state);
         if wild.is_empty() {
             return exact.iter().map(|(_, t)| *t).find(|t| self.guard(*t, turn));

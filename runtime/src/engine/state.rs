@@ -8,7 +8,7 @@ use armarium_values::expr::{EvalContext, MAX_PARTS};
 
 use super::event::Event;
 use super::{Effect, Sensors, TraceItem};
-use crate::program::{Program, StateId, Symbol};
+use crate::program::{EventNumber, Program, StateId};
 
 /// Largest number of parts that all assigned variables may hold together.
 const MAX_HELD_PARTS: usize = 20 * MAX_PARTS;
@@ -43,7 +43,7 @@ pub(super) struct StateRun {
 pub(super) struct StateStatus {
     pub(super) skill: SkillRun,
     /// Its outcome, if no transition took it.
-    pub(super) done: Option<Symbol>,
+    pub(super) done: Option<EventNumber>,
     /// Whether it has reported its outcome, for unbreakable states.
     pub(super) ended: bool,
     pub(super) retries: u32,
@@ -53,7 +53,7 @@ pub(super) struct StateStatus {
     /// The values from the transition that entered it, for further retries.
     pub(super) given: BTreeMap<String, Value>,
     /// For a parallel state: the first outcome of a region that is not success.
-    pub(super) first_other: Option<(Symbol, Value)>,
+    pub(super) first_other: Option<(EventNumber, Value)>,
 }
 
 /// A timer that has been started.

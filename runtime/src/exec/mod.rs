@@ -28,7 +28,7 @@ use crate::activation::{Activation, Report, Start};
 use crate::agenda::Agenda;
 use crate::channels::Channels;
 use crate::chart::Registry;
-use crate::engine::{Effect, Engine, Input, InputRecord, Recording, Sensors};
+use crate::engine::{Effect, Engine, Input, InputRecord, RecordingSensors, Sensors};
 use crate::program::Program;
 use crate::skill::{Failure, InputError, Limits, Skill, SkillContext, SkillManifest, SkillResult};
 use crate::trace::{TraceEvent, TraceItem};
@@ -362,7 +362,7 @@ impl Executor {
         let program = Arc::clone(self.engine.program());
         let hub = Hub { channels: &self.channels, names: program.channels() };
         if let Some(sink) = &mut self.sink {
-            let sensors = Recording::new(&hub);
+            let sensors = RecordingSensors::new(&hub);
             match input.clone() {
                 None => self.engine.start(&sensors, &mut effects),
                 Some(input) => self.engine.handle(input, &sensors, &mut effects),

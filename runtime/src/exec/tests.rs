@@ -74,6 +74,24 @@ states: {A: {skill: Act, with: {end: panic}}}
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_failure_says_which_outcome_led_to_it_and_why() {
+    let (result, _) = run("
+statechart: T
+initial: A
+states:
+  A:
+    initial: X
+    states:
+      X: {after: {1s: Y}}
+      Y: {final: blocked}
+    transitions: {blocked: Failed}
+  Failed: {final: failure}
+")
+    .await;
+    assert_eq!(result.reason.as_deref(), Some("`A` ended with `blocked`: the time of `A.X` was up"));
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_timer_cancels_and_waits_for_what_runs_inside() {
     let (result, log) = run("
 statechart: T

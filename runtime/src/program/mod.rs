@@ -21,8 +21,8 @@ use armarium_values::{ConvertError, Type, Value};
 use crate::skill::{Limits, Parameter, SkillManifest};
 
 pub(crate) use tables::{
-    AFTER, ERROR_CHANNEL, ERROR_EXECUTION, ERROR_QUEUE, FAILURE, RETRY, SUCCESS, Symbol, Symbols, Tables,
-    UNKNOWN,
+    AFTER, ERROR_CHANNEL, ERROR_EXECUTION, ERROR_QUEUE, EventNames, EventNumber, FAILURE, RETRY, SUCCESS,
+    Tables, UNKNOWN,
 };
 
 /// Number of a state.
@@ -30,7 +30,7 @@ pub type StateId = u32;
 
 /// Number of an event's name in one program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct EventId(pub(crate) Symbol);
+pub struct EventId(pub(crate) EventNumber);
 
 /// Where something was written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -51,7 +51,7 @@ pub struct Program {
     pub(crate) channels: Vec<String>,
     pub(crate) slots: u32,
     /// The names of events.
-    pub(crate) symbols: Symbols,
+    pub(crate) event_names: EventNames,
     pub(crate) tables: Tables,
     /// Input values by profile, as written.
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
@@ -103,7 +103,7 @@ pub(crate) enum Kind {
     },
     Parallel,
     Final {
-        outcome: Symbol,
+        outcome: EventNumber,
     },
     History {
         deep: bool,
@@ -147,7 +147,7 @@ pub(crate) struct State {
     /// Slots of its outputs.
     pub(crate) outputs: Vec<(String, u32)>,
     /// The event `done.state.NAME`.
-    pub(crate) done: Symbol,
+    pub(crate) done: EventNumber,
     pub(crate) place: SourcePlace,
 }
 
@@ -197,7 +197,7 @@ pub(crate) struct Transition {
 #[derive(Debug)]
 pub(crate) struct Watch {
     pub(crate) state: StateId,
-    pub(crate) name: Symbol,
+    pub(crate) name: EventNumber,
     pub(crate) condition: Code,
     pub(crate) until: Option<Code>,
     pub(crate) hold_s: f64,
@@ -231,7 +231,7 @@ pub(crate) struct Binding {
 #[derive(Debug)]
 pub(crate) enum Action {
     Assign { slot: u32, declaration: Arc<Parameter>, variable: String, term: Term, place: SourcePlace },
-    Raise { event: Symbol, data: Option<Term>, place: SourcePlace },
+    Raise { event: EventNumber, data: Option<Term>, place: SourcePlace },
     Send(Box<Send>),
     Cancel { id: String },
     Log { term: Term },
@@ -242,7 +242,7 @@ pub(crate) enum Action {
 /// The action `send`.
 #[derive(Debug)]
 pub(crate) struct Send {
-    pub(crate) event: Symbol,
+    pub(crate) event: EventNumber,
     pub(crate) to: Option<Term>,
     pub(crate) data: Option<Term>,
     pub(crate) delay: Option<Term>,
@@ -280,7 +280,7 @@ pub enum EventRefused {
 impl Program {
     /// The same program with its transitions' domains and its tables. To be called once all states exist.
     pub(crate) fn linked(mut self) -> Self {
-        self.tables = Tables::new(&mut self.symbols, &self.states, &self.transitions);
+        self.tables = Tables::new(&mut self.event_names, &self.states, &self.transitions);
         for at in 0..self.transitions.len() {
             let t = &self.transitions[at];
             let domain = (!t.targets.is_empty()).then(|| self.domain(t.source, t.internal, &t.targets));
@@ -315,7 +315,7 @@ impl Program {
         let mut events: Vec<&str> = Vec::new();
         for around in self.outward(state) {
             let of = self.state(around);
-            let watches = of.watches.iter().map(|w| self.symbols.name(self.watches[*w as usize].name));
+            let watches = of.watches.iter().map(|w| self.event_names.name(self.watches[*w as usize].name));
             let taken = of.transitions.iter().filter_map(|t| match &self.transitions[*t as usize].pattern {
                 Pattern::Exact(name) => Some(&**name),
                 _ => None,
@@ -380,7 +380,7 @@ impl Program {
             Kind::Composite { .. } => {
                 for child in &of.children {
                     if let Kind::Final { outcome } = self.state(*child).kind {
-                        outcomes.insert(self.symbols.name(outcome).to_owned());
+                        outcomes.insert(self.event_names.name(outcome).to_owned());
                     }
                 }
             }
@@ -429,7 +429,7 @@ impl Program {
 
     /// The number of an event that the chart knows, for `Engine::raise`.
     pub fn event(&self, name: &str) -> Option<EventId> {
-        self.symbols.find(name).map(EventId)
+        self.event_names.find(name).map(EventId)
     }
 
     /// The number of states, with those of the charts inside.

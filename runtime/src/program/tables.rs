@@ -8,58 +8,58 @@ use std::sync::Arc;
 use super::{Kind, Pattern, State, StateId, Transition};
 
 /// Number of an event's name.
-pub(crate) type Symbol = u32;
+pub(crate) type EventNumber = u32;
 
 /// Stands for every name that the chart does not know.
-pub(crate) const UNKNOWN: Symbol = u32::MAX;
-pub(crate) const FAILURE: Symbol = 0;
-pub(crate) const SUCCESS: Symbol = 1;
-pub(crate) const ERROR_EXECUTION: Symbol = 2;
-pub(crate) const ERROR_QUEUE: Symbol = 3;
-pub(crate) const AFTER: Symbol = 4;
-pub(crate) const RETRY: Symbol = 5;
-pub(crate) const ERROR_CHANNEL: Symbol = 6;
+pub(crate) const UNKNOWN: EventNumber = u32::MAX;
+pub(crate) const FAILURE: EventNumber = 0;
+pub(crate) const SUCCESS: EventNumber = 1;
+pub(crate) const ERROR_EXECUTION: EventNumber = 2;
+pub(crate) const ERROR_QUEUE: EventNumber = 3;
+pub(crate) const AFTER: EventNumber = 4;
+pub(crate) const RETRY: EventNumber = 5;
+pub(crate) const ERROR_CHANNEL: EventNumber = 6;
 /// The names that every program knows; the index is the number.
 const FIXED: [&str; 7] =
     ["failure", "success", "error.execution", "error.queue", "after", "retry", "error.channel"];
 
 /// Names of events and their numbers.
 #[derive(Debug)]
-pub(crate) struct Symbols {
+pub(crate) struct EventNames {
     names: Vec<Arc<str>>,
-    numbers: BTreeMap<Arc<str>, Symbol>,
+    numbers: BTreeMap<Arc<str>, EventNumber>,
 }
 
-impl Default for Symbols {
+impl Default for EventNames {
     fn default() -> Self {
-        let mut symbols = Self { names: Vec::new(), numbers: BTreeMap::new() };
+        let mut all = Self { names: Vec::new(), numbers: BTreeMap::new() };
         FIXED.iter().for_each(|name| {
-            symbols.intern(name);
+            all.intern(name);
         });
-        symbols
+        all
     }
 }
 
-impl Symbols {
+impl EventNames {
     /// The number of a name; a new name gets a new number.
-    pub(crate) fn intern(&mut self, name: &str) -> Symbol {
+    pub(crate) fn intern(&mut self, name: &str) -> EventNumber {
         if let Some(known) = self.numbers.get(name) {
             return *known;
         }
         let name: Arc<str> = name.into();
-        let number = Symbol::try_from(self.names.len()).unwrap_or(UNKNOWN);
+        let number = EventNumber::try_from(self.names.len()).unwrap_or(UNKNOWN);
         self.names.push(Arc::clone(&name));
         self.numbers.insert(name, number);
         number
     }
 
-    pub(crate) fn find(&self, name: &str) -> Option<Symbol> {
+    pub(crate) fn find(&self, name: &str) -> Option<EventNumber> {
         self.numbers.get(name).copied()
     }
 
     /// The name of a number.
-    pub(crate) fn name(&self, symbol: Symbol) -> &str {
-        self.names.get(symbol as usize).map_or("", |name| &**name)
+    pub(crate) fn name(&self, number: EventNumber) -> &str {
+        self.names.get(number as usize).map_or("", |name| &**name)
     }
 }
 
@@ -104,7 +104,7 @@ pub(crate) struct Jump {
 pub(crate) struct Tables {
     nodes: Vec<StateNode>,
     /// Event and transition number, sorted by both within a state.
-    on: Vec<(Symbol, u32)>,
+    on: Vec<(EventNumber, u32)>,
     lists: Vec<u32>,
     jumps: Vec<Jump>,
 }
@@ -114,7 +114,7 @@ fn at(list: &[u32]) -> u32 {
 }
 
 impl Tables {
-    pub(crate) fn new(symbols: &mut Symbols, states: &[State], transitions: &[Transition]) -> Self {
+    pub(crate) fn new(event_names: &mut EventNames, states: &[State], transitions: &[Transition]) -> Self {
         let mut tables = Self {
             nodes: Vec::with_capacity(states.len()),
             on: Vec::new(),
@@ -126,8 +126,8 @@ impl Tables {
             for t in &state.transitions {
                 match &transitions[*t as usize].pattern {
                     Pattern::Exact(name) => {
-                        let symbol = symbols.intern(name);
-                        tables.on.push((symbol, *t));
+                        let number = event_names.intern(name);
+                        tables.on.push((number, *t));
                     }
                     Pattern::Prefix(_) | Pattern::Any => tables.lists.push(*t),
                     Pattern::None => {}
@@ -186,11 +186,11 @@ impl Tables {
     }
 
     /// The transitions of a state that name this event exactly, in the file's order.
-    pub(crate) fn exact(&self, state: StateId, event: Symbol) -> &[(Symbol, u32)] {
+    pub(crate) fn exact(&self, state: StateId, event: EventNumber) -> &[(EventNumber, u32)] {
         let (from, to) = self.node(state).on;
         let all = &self.on[from as usize..to as usize];
-        let from = all.partition_point(|(symbol, _)| *symbol < event);
-        let to = all[from..].partition_point(|(symbol, _)| *symbol == event);
+        let from = all.partition_point(|(number, _)| *number < event);
+        let to = all[from..].partition_point(|(number, _)| *number == event);
         &all[from..from + to]
     }
 

@@ -318,7 +318,7 @@ impl Stepper {
     fn armed_watch(&self, state: StateId, name: &str) -> Option<(u32, u64)> {
         let program = self.engine.program();
         let mut watches = program.state(state).watches.iter().copied();
-        let named = |watch: &u32| program.symbols.name(program.watches[*watch as usize].name) == name;
+        let named = |watch: &u32| program.event_names.name(program.watches[*watch as usize].name) == name;
         let watch = watches.find(named)?;
         Some((watch, self.agenda.armed(watch)?))
     }

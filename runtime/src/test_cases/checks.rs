@@ -394,7 +394,8 @@ impl Check<'_> {
     fn event_of(&mut self, from: StateId, span: Span, event: &str, data: Option<&Node>) {
         let program = self.program;
         let state = program.state(from);
-        let watches = state.watches.iter().map(|w| program.symbols.name(program.watches[*w as usize].name));
+        let watches =
+            state.watches.iter().map(|w| program.event_names.name(program.watches[*w as usize].name));
         let mut known: Vec<&str> = watches.collect();
         if let Kind::Skill { manifest } = &state.kind {
             if manifest.open {

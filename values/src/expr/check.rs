@@ -4,7 +4,7 @@ use cel::IdedExpr;
 use cel::common::ast::{CallExpr, EntryExpr, Expr as Cel, LiteralValue, SelectExpr, SourceInfo};
 
 use super::eval::{Macro, Node, Pos};
-use super::functions::{Function, TABLE, Takes};
+use super::functions::{Function, TABLE, Takes, foreign_function};
 use super::typing::{arithmetic, article, comparison, comprehension, dotted, is_text, join, mismatch};
 use super::{
     Environment, Expr, ExprError, ExprErrorKind as Kind, Found, MAX_SOURCE, Reads, Slot, Unknown, Unresolved,
@@ -451,7 +451,13 @@ impl Checker<'_> {
     fn text<'e>(&self, expr: &'e IdedExpr) -> Result<&'e str, ExprError> {
         match &expr.expr {
             Cel::Literal(LiteralValue::String(s)) => Ok(s.inner()),
-            _ => Err(self.error(expr.id, Kind::Type, "a name in quotes is needed here")),
+            of => {
+                let mut error = self.error(expr.id, Kind::Type, "a name in quotes is needed here");
+                if let Cel::Ident(name) = of {
+                    error.help = Some(format!("write `'{name}'`"));
+                }
+                Err(error)
+            }
         }
     }
 
@@ -533,7 +539,7 @@ impl Checker<'_> {
             let message = format!("there is no function `{name}`");
             let mut error = self.error(id, Kind::UnknownFunction, message);
             let known = TABLE.iter().map(|(known, ..)| *known).chain(["age", "active", "has"]);
-            let near = nearest(name, known);
+            let near = foreign_function(name).or_else(|| nearest(name, known));
             error.help = near.map(|near| format!("did you mean `{near}`?"));
             error.near =
                 near.zip(self.named(id, name)).map(|(near, (start, end))| (start, end, near.to_owned()));

@@ -79,6 +79,21 @@ pub(super) const TABLE: &[Row] = &[
     ("Object", F::Object, 1, 1, "Object(name)", "The object of that name in memory."),
 ];
 
+/// The function that other languages call `name`.
+pub(super) fn foreign_function(name: &str) -> Option<&'static str> {
+    match name {
+        "len" | "length" | "count" => Some("size"),
+        "fabs" => Some("abs"),
+        "log" => Some("ln"),
+        "str" => Some("string"),
+        "isnan" | "isNaN" => Some("is_nan"),
+        "arcsin" => Some("asin"),
+        "arccos" => Some("acos"),
+        "In" | "in_state" => Some("active"),
+        _ => None,
+    }
+}
+
 /// What functions besides those of the table look like: they take names, not values, or are written behind a list.
 const OTHERS: [(&str, &str, &str); 8] = [
     ("age", "age('channel')", "How long ago a channel was published, s."),

@@ -23,7 +23,7 @@ pub use statistics::ProcessorStatistics;
 /// The finding of a processor in one frame.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
-pub enum Finding {
+pub enum ImageFinding {
     /// A marker of known colour; `None`: not found.
     Marker(Option<MarkerEstimate>),
     /// An object's pose; `None`: not found.
@@ -57,10 +57,10 @@ pub trait ImageProcessor: Send {
     ///
     /// # Errors
     /// [`ImageError`] when the frames do not suit this processor; later ones may.
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Finding, ImageError>;
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<ImageFinding, ImageError>;
 
     /// Draws the finding into a picture of the frames, for people; `None` when the processor draws nothing.
-    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &Finding) -> Option<RgbImage> {
+    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &ImageFinding) -> Option<RgbImage> {
         let _ = (frames, finding);
         None
     }
@@ -70,7 +70,7 @@ pub trait ImageProcessor: Send {
 #[async_trait]
 pub trait ResultSink: Send + Sync {
     /// Takes the result of one frame. Returns whether more is wanted; `false` ends the loop.
-    async fn take(&self, source: &FindingSource, finding: Finding) -> bool;
+    async fn take(&self, source: &FindingSource, finding: ImageFinding) -> bool;
 }
 
 /// When a processor takes frames.

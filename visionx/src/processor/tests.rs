@@ -2,7 +2,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
 use crate::image_source::ImageSource;
-use crate::providers::{Description, StereoPair, StereoProvider, channel};
+use crate::providers::{ProviderDescription, StereoPair, StereoProvider, channel};
 use crate::scenes::{CALIBRATION, empty_frames};
 use crate::steps::OfStereo;
 use crate::tracking::hand::HandObserver;
@@ -41,7 +41,7 @@ fn camera(frames: u64) -> Arc<dyn ImageProvider> {
 }
 
 fn pair() -> StereoPair {
-    StereoPair::of(&Description::of_stereo("camera", "camera_left", &CALIBRATION)).unwrap()
+    StereoPair::of(&ProviderDescription::of_stereo("camera", "camera_left", &CALIBRATION)).unwrap()
 }
 
 struct Count {
@@ -51,7 +51,7 @@ struct Count {
 
 #[async_trait]
 impl ResultSink for Count {
-    async fn take(&self, source: &FindingSource, _: Finding) -> bool {
+    async fn take(&self, source: &FindingSource, _: ImageFinding) -> bool {
         assert_eq!(source.provider, "camera");
         self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
     }
@@ -73,7 +73,8 @@ async fn run(
 
 #[tokio::test(start_paused = true)]
 async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
-    let (drawn, pictures) = channel(Description { name: "drawn".into(), ..Description::default() });
+    let (drawn, pictures) =
+        channel(ProviderDescription { name: "drawn".into(), ..ProviderDescription::default() });
     let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
     let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
     assert!(ended.is_ok());
@@ -92,9 +93,9 @@ impl ImageProcessor for Look {
         "look"
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Finding, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<ImageFinding, ImageError> {
         self.0.push(frames.iter().map(|frame| frame.number).collect());
-        Ok(Finding::Hand(None))
+        Ok(ImageFinding::Hand(None))
     }
 }
 
@@ -116,8 +117,8 @@ struct Sizes(Vec<(u32, u32)>, AtomicU64);
 
 #[async_trait]
 impl ImageProvider for Sizes {
-    fn description(&self) -> Description {
-        Description { name: "camera".into(), ..Description::default() }
+    fn description(&self) -> ProviderDescription {
+        ProviderDescription { name: "camera".into(), ..ProviderDescription::default() }
     }
 
     async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {

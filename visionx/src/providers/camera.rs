@@ -14,7 +14,7 @@ use linuxvideo::{BufType, Device};
 use tokio::time::Instant;
 
 use super::channel::{FrameChannel, FrameSender, channel};
-use super::{Description, ImageDescription, ImageProvider, PixelFormat, RawFrame, RawImage};
+use super::{ImageDescription, ImageProvider, PixelFormat, ProviderDescription, RawFrame, RawImage};
 use crate::files::decode_image;
 use crate::frame::ImageError;
 
@@ -67,7 +67,7 @@ impl CameraProvider {
             height: layout.height,
             camera: None,
         };
-        let (sender, frames) = channel(Description {
+        let (sender, frames) = channel(ProviderDescription {
             name: name.into(),
             about: format!("the camera {}", device.display()),
             frame_id: "camera".into(),
@@ -90,7 +90,7 @@ impl Drop for CameraProvider {
 
 #[async_trait]
 impl ImageProvider for CameraProvider {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         self.frames.description()
     }
 

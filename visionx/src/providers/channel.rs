@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use async_trait::async_trait;
 use tokio::sync::{Mutex, watch};
 
-use super::{Description, ImageProvider, RawFrame};
+use super::{ImageProvider, ProviderDescription, RawFrame};
 use crate::frame::ImageError;
 
 /// The sending end.
@@ -21,14 +21,14 @@ pub struct FrameSender {
 /// The receiving end; a clone is another reader.
 #[derive(Debug)]
 pub struct FrameChannel {
-    description: Arc<Description>,
+    description: Arc<ProviderDescription>,
     newest: Mutex<watch::Receiver<(u64, Option<Arc<RawFrame>>)>>,
     seen: AtomicU64,
     missed: AtomicU64,
 }
 
 /// A sender and the provider of its frames.
-pub fn channel(description: Description) -> (FrameSender, FrameChannel) {
+pub fn channel(description: ProviderDescription) -> (FrameSender, FrameChannel) {
     let (newest, receiver) = watch::channel((0, None));
     let description = Arc::new(description);
     (FrameSender { newest }, FrameChannel::reader(description, receiver, 0))
@@ -52,7 +52,7 @@ impl FrameSender {
 
 impl FrameChannel {
     fn reader(
-        description: Arc<Description>,
+        description: Arc<ProviderDescription>,
         newest: watch::Receiver<(u64, Option<Arc<RawFrame>>)>,
         seen: u64,
     ) -> Self {
@@ -72,7 +72,7 @@ impl FrameChannel {
 
 #[async_trait]
 impl ImageProvider for FrameChannel {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         (*self.description).clone()
     }
 
@@ -93,7 +93,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_reader_gets_the_newest_and_knows_what_it_missed() {
-        let (sender, reader) = channel(Description { name: "drawn".into(), ..Description::default() });
+        let (sender, reader) =
+            channel(ProviderDescription { name: "drawn".into(), ..ProviderDescription::default() });
         assert!(sender.is_wanted());
         for stamp_ns in [10, 20, 30] {
             sender.send(RawFrame { stamp_ns, ..RawFrame::default() });

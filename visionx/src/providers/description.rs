@@ -8,7 +8,7 @@ use crate::camera::{PinholeCamera, StereoCalibration};
 
 /// Describes a provider.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Description {
+pub struct ProviderDescription {
     /// The provider's name.
     pub name: String,
     /// A description for people.
@@ -183,7 +183,7 @@ impl CameraModel {
     }
 }
 
-impl Description {
+impl ProviderDescription {
     /// The description of an [`ImageSource`](crate::ImageSource): left and right images, and depth for the
     /// left.
     pub fn of_stereo(name: &str, frame_id: &str, calibration: &StereoCalibration) -> Self {
@@ -283,20 +283,20 @@ mod tests {
 
     #[test]
     fn a_stereo_pair_is_described_and_read_back() {
-        let described = Description::of_stereo("eyes", "camera_left", &CALIBRATION);
+        let described = ProviderDescription::of_stereo("eyes", "camera_left", &CALIBRATION);
         assert_eq!(described.stereo(), Ok(CALIBRATION));
         let point = Point3::new(0.1, -0.05, 0.8);
         let right = described.image("right").and_then(|i| i.camera).unwrap().project(&point).unwrap();
         let expected = CALIBRATION.camera.project_shifted(&point, CALIBRATION.baseline).unwrap();
         assert!((right - expected).norm() < 1e-9);
         for spoil in [
-            |d: &mut Description| d.images[1].role = "middle".into(),
-            |d: &mut Description| d.images[0].camera = None,
-            |d: &mut Description| d.images[1].width = 10,
-            |d: &mut Description| d.images[0].camera.as_mut().unwrap().distortion = LENS,
-            |d: &mut Description| d.images[0].camera.as_mut().unwrap().focal[1] = f64::NAN,
-            |d: &mut Description| d.images.swap(0, 1),
-            |d: &mut Description| {
+            |d: &mut ProviderDescription| d.images[1].role = "middle".into(),
+            |d: &mut ProviderDescription| d.images[0].camera = None,
+            |d: &mut ProviderDescription| d.images[1].width = 10,
+            |d: &mut ProviderDescription| d.images[0].camera.as_mut().unwrap().distortion = LENS,
+            |d: &mut ProviderDescription| d.images[0].camera.as_mut().unwrap().focal[1] = f64::NAN,
+            |d: &mut ProviderDescription| d.images.swap(0, 1),
+            |d: &mut ProviderDescription| {
                 let camera = d.images[1].camera.as_mut().unwrap();
                 camera.reference_from_camera = Isometry3::translation(-0.1, 0.0, 0.0);
             },

@@ -7,7 +7,7 @@ use armarium_bus::{Bounds, CodecError, Reply, Session, SessionError};
 
 use super::lenient::decode_leniently;
 use super::offering::DESCRIPTION;
-use super::{Description, MAX_IMAGES};
+use super::{MAX_IMAGES, ProviderDescription};
 
 /// Most providers listed.
 const MAX_PROVIDERS: usize = 1024;
@@ -54,7 +54,7 @@ pub struct FoundProvider {
     /// Its name in the key.
     pub provider: String,
     /// Its description, or why the description cannot be read.
-    pub description: Result<Description, DescriptionError>,
+    pub description: Result<ProviderDescription, DescriptionError>,
 }
 
 /// The providers that answer within `wait`, sorted by agent and name, including those with unreadable
@@ -85,9 +85,9 @@ fn found(answer: &Reply) -> Option<FoundProvider> {
 }
 
 /// Decodes the description of an answer.
-fn description(encoding: &str, payload: &[u8]) -> Result<Description, DescriptionError> {
+fn description(encoding: &str, payload: &[u8]) -> Result<ProviderDescription, DescriptionError> {
     DESCRIPTION.check(encoding)?;
-    let description: Description = decode_leniently(payload, Bounds::default())?;
+    let description: ProviderDescription = decode_leniently(payload, Bounds::default())?;
     match description.images.len() {
         0..=MAX_IMAGES => Ok(description),
         images => Err(DescriptionError::TooManyImages { images }),
@@ -100,7 +100,7 @@ pub(super) async fn describe(
     key: &Key,
     name: &str,
     wait: Duration,
-) -> Result<Description, RemoteError> {
+) -> Result<ProviderDescription, RemoteError> {
     let asking = async {
         loop {
             // Zenoh may not know the provider yet; a later query may reach it.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use async_trait::async_trait;
 use tokio::sync::Mutex;
 
-use super::{Description, ImageProvider, RawFrame};
+use super::{ImageProvider, ProviderDescription, RawFrame};
 use crate::frame::ImageError;
 
 /// Several readers of one provider in one process. The provider is read only while a reader waits, once for all
@@ -45,7 +45,7 @@ impl Subscription {
 
 #[async_trait]
 impl ImageProvider for Subscription {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         self.shared.provider.description()
     }
 
@@ -80,8 +80,8 @@ mod tests {
 
     #[async_trait]
     impl ImageProvider for Camera {
-        fn description(&self) -> Description {
-            Description { name: "camera".into(), ..Description::default() }
+        fn description(&self) -> ProviderDescription {
+            ProviderDescription { name: "camera".into(), ..ProviderDescription::default() }
         }
 
         async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {

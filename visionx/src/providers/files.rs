@@ -11,7 +11,7 @@ use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
 use super::calibration::Calibration;
-use super::description::{Description, ImageDescription};
+use super::description::{ImageDescription, ProviderDescription};
 use super::{ImageProvider, PixelFormat, RawFrame, RawImage};
 use crate::files::{FileError, images_in, read_depth, read_image};
 use crate::frame::ImageError;
@@ -31,7 +31,7 @@ pub struct Pace {
 /// Provides the images of files.
 #[derive(Debug)]
 pub struct FileProvider {
-    description: Description,
+    description: ProviderDescription,
     frames: Vec<BTreeMap<String, PathBuf>>,
     rate_hz: f64,
     pace: Pace,
@@ -65,7 +65,7 @@ impl FileProvider {
             height: image.height(),
             camera: cameras.get(image.role()).copied(),
         };
-        let description = Description {
+        let description = ProviderDescription {
             name: name.into(),
             about: format!("{} frames from files", frames.len()),
             frame_id: "camera".into(),
@@ -83,7 +83,7 @@ impl FileProvider {
 
 #[async_trait]
 impl ImageProvider for FileProvider {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         self.description.clone()
     }
 

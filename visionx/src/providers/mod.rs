@@ -1,11 +1,11 @@
 //! Image providers, and the transport of their frames to readers.
 //!
-//! - [`RawFrame`]: one or more images of one moment. [`Description`]: a provider's images and calibration.
+//! - [`RawFrame`]: one or more images of one moment. [`ProviderDescription`]: a provider's images and calibration.
 //! - [`ImageProvider`]: the trait. [`StereoProvider`] makes one of an [`ImageSource`](crate::ImageSource), such as the
 //!   simulator's cameras, and [`StereoView`] does the reverse. [`FileProvider`] reads image files,
 //!   [`RecordingProvider`] recordings, [`FrameSender`] takes frames that the program makes, `CameraProvider` (feature
 //!   `camera`) reads a camera, [`RemoteProvider`] a provider of another process.
-//! - [`FanOut`]: many readers of one provider. [`offer`]: publishes to other processes. [`Recording`]: writes a file.
+//! - [`FanOut`]: many readers of one provider. [`offer`]: publishes to other processes. [`RecordingWriter`]: writes a file.
 //! - [`wire`]: the format of a frame on the network and in a recording.
 
 mod calibration;
@@ -38,7 +38,7 @@ use crate::frame::ImageError;
 #[cfg(feature = "camera")]
 pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
-pub use description::{CameraModel, Description, Distortion, ImageDescription, NotStereo};
+pub use description::{CameraModel, Distortion, ImageDescription, NotStereo, ProviderDescription};
 pub use discovery::{DescriptionError, FoundProvider, RemoteError, providers};
 pub use fan_out::{FanOut, Subscription};
 pub use files::{FileProvider, Pace};
@@ -49,13 +49,13 @@ pub use recording::{RecordingError, RecordingProvider, recorded};
 pub use remote::{Delivery, RemoteProvider, RemoteStatistics};
 pub use stereo::{StereoProvider, StereoView, frame_of};
 pub use wire::ImageCoding;
-pub use writing::Recording;
+pub use writing::RecordingWriter;
 
 /// A provider of frames. It need not make a frame that no caller waits for.
 #[async_trait]
 pub trait ImageProvider: Send + Sync {
     /// Its images and their calibration.
-    fn description(&self) -> Description;
+    fn description(&self) -> ProviderDescription;
 
     /// Waits for the next frame.
     ///

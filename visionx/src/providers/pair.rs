@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, UnitQuaternion};
 
 use super::convert::{depth_of, rgb_of};
-use super::{Description, NotStereo, RawFrame};
+use super::{NotStereo, ProviderDescription, RawFrame};
 use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, StereoFrame};
 use crate::providers::rectify::Rectification;
@@ -24,7 +24,7 @@ impl StereoPair {
     ///
     /// # Errors
     /// Why its images are not a pair.
-    pub fn of(description: &Description) -> Result<Self, NotStereo> {
+    pub fn of(description: &ProviderDescription) -> Result<Self, NotStereo> {
         let provider = description.name.clone();
         if let Ok(calibration) = description.stereo() {
             return Ok(Self { provider, calibration, rectification: None });

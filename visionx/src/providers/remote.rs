@@ -19,7 +19,7 @@ use tokio::time::Instant;
 use super::discovery::{RemoteError, describe};
 use super::frame::PixelOwner;
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
-use super::{Description, ImageProvider, RawFrame};
+use super::{ImageProvider, ProviderDescription, RawFrame};
 use crate::counter::{Counter, Latency};
 use crate::frame::ImageError;
 
@@ -49,7 +49,7 @@ pub struct RemoteProvider {
     key: Key,
     /// `AGENT/PROVIDER`, for people.
     name: String,
-    description: Arc<Description>,
+    description: Arc<ProviderDescription>,
     reader: BulkReader,
     again: bool,
     state: Mutex<Intake>,
@@ -243,7 +243,7 @@ impl RemoteProvider {
 
 #[async_trait]
 impl ImageProvider for RemoteProvider {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         (*self.description).clone()
     }
 

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use async_trait::async_trait;
 
 use super::{
-    Description, ImageProvider, NotStereo, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage, StereoPair,
+    ImageProvider, NotStereo, PixelFormat, PixelOwner, Pixels, ProviderDescription, RawFrame, RawImage,
+    StereoPair,
 };
 use crate::camera::StereoCalibration;
 use crate::counter::Counter;
@@ -16,7 +17,7 @@ use crate::image_source::ImageSource;
 /// An [`ImageSource`] as a provider. Pixels are not copied; depth is.
 pub struct StereoProvider {
     source: Arc<dyn ImageSource>,
-    description: Description,
+    description: ProviderDescription,
     count: AtomicU64,
 }
 
@@ -42,14 +43,14 @@ impl PixelOwner for Eye {
 impl StereoProvider {
     /// A provider of the frames of `source`; `frame_id` names the left camera's coordinate frame.
     pub fn new(source: Arc<dyn ImageSource>, frame_id: &str) -> Self {
-        let description = Description::of_stereo(source.name(), frame_id, &source.calibration());
+        let description = ProviderDescription::of_stereo(source.name(), frame_id, &source.calibration());
         Self { source, description, count: AtomicU64::new(0) }
     }
 }
 
 #[async_trait]
 impl ImageProvider for StereoProvider {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         self.description.clone()
     }
 

@@ -9,7 +9,7 @@ use mcap::records::{MessageHeader, Metadata};
 
 use super::recording::{DESCRIPTION, MAX_RECORD_BYTES, RecordingError, SCHEMA};
 use super::wire::pack;
-use super::{Description, RawFrame};
+use super::{ProviderDescription, RawFrame};
 
 /// The encoding of messages with packed frames.
 const ENCODING: &str = "armarium-packed-frame";
@@ -19,14 +19,14 @@ const CHUNK: u64 = 4 << 20;
 const MAX_FRAME_BYTES: usize = MAX_RECORD_BYTES - (64 << 10);
 
 /// A recording that is being written. Frames are compressed without loss.
-pub struct Recording {
+pub struct RecordingWriter {
     path: PathBuf,
     writer: mcap::Writer<BufWriter<File>>,
     channels: BTreeMap<String, u16>,
     frames: u64,
 }
 
-impl Recording {
+impl RecordingWriter {
     /// Creates a recording; an existing file is overwritten.
     ///
     /// # Errors
@@ -48,7 +48,7 @@ impl Recording {
     ///
     /// # Errors
     /// [`RecordingError`].
-    pub fn add_provider(&mut self, description: &Description) -> Result<(), RecordingError> {
+    pub fn add_provider(&mut self, description: &ProviderDescription) -> Result<(), RecordingError> {
         let encode = |what: String| RecordingError::Encode { what };
         let said = armarium_bus::encode(description).map_err(|e| encode(e.to_string()))?;
         let said = said.iter().map(|byte| format!("{byte:02x}")).collect::<String>();

@@ -6,8 +6,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::*;
-use crate::processor::{Finding, ImageProcessor};
-use crate::providers::{Description, RawImage, StereoPair, frame_of};
+use crate::processor::{ImageFinding, ImageProcessor};
+use crate::providers::{ProviderDescription, RawImage, StereoPair, frame_of};
 use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
 use crate::steps::OfStereo;
 
@@ -112,10 +112,10 @@ fn depth_of_another_size(frame: &mut StereoFrame) {
 fn a_frame_without_place_or_depth_is_no_table_but_an_error_that_says_what_is_missing() {
     let stereo = Arc::new(frame_with_depth(&[table([150, 115, 80])], 0, 1));
     let whole = frame_of(&stereo, 1, "camera_left").unwrap();
-    let pair = StereoPair::of(&Description::of_stereo("eyes", "camera_left", &CALIBRATION)).unwrap();
+    let pair = StereoPair::of(&ProviderDescription::of_stereo("eyes", "camera_left", &CALIBRATION)).unwrap();
     let mut tabletop = OfStereo::new(TabletopSegmentation::new(CALIBRATION.camera), pair);
     let mut asked = |frame: RawFrame| tabletop.process(&[Arc::new(frame)]).map_err(|e| e.to_string());
-    assert!(matches!(asked(whole.clone()), Ok(Finding::Tabletop(Some(_)))));
+    assert!(matches!(asked(whole.clone()), Ok(ImageFinding::Tabletop(Some(_)))));
 
     let nowhere = RawFrame { root_from_camera: None, ..whole.clone() };
     assert!(asked(nowhere).unwrap_err().contains("give `root_from_camera` in the frame's header"));

@@ -10,7 +10,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::super::compressed::image_field;
 use super::super::wire::{WireError, unpack};
-use super::super::{Description, PixelFormat, RawFrame, RawImage};
+use super::super::{PixelFormat, ProviderDescription, RawFrame, RawImage};
 use super::{DESCRIPTION, RecordingError, SCHEMA};
 use crate::files::{FileError, decode_image};
 use crate::frame::ImageError;
@@ -28,7 +28,7 @@ pub(super) struct Messages {
     schemas: BTreeMap<u16, String>,
     channels: BTreeMap<u16, (String, String)>,
     /// The descriptions read so far, by provider.
-    pub(super) descriptions: BTreeMap<String, Description>,
+    pub(super) descriptions: BTreeMap<String, ProviderDescription>,
 }
 
 /// A message with an image or a frame.
@@ -120,7 +120,7 @@ impl Message {
     }
 }
 
-fn described(hex: &str) -> Option<Description> {
+fn described(hex: &str) -> Option<ProviderDescription> {
     let digits = hex.as_bytes().chunks(2).map(|two| {
         let digit = |at: usize| char::from(*two.get(at)?).to_digit(16);
         Some((digit(0)? * 16 + digit(1)?) as u8)

@@ -16,7 +16,7 @@ use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
 
 use super::files::{Pace, seconds};
-use super::{Description, ImageDescription, ImageProvider, RawFrame};
+use super::{ImageDescription, ImageProvider, ProviderDescription, RawFrame};
 use crate::frame::ImageError;
 pub(super) use messages::MAX_RECORD_BYTES;
 use messages::{Message, Messages};
@@ -76,7 +76,7 @@ pub enum RecordingError {
 pub struct RecordingProvider {
     path: PathBuf,
     topic: String,
-    description: Description,
+    description: ProviderDescription,
     pace: Pace,
     state: Mutex<Play>,
 }
@@ -171,7 +171,7 @@ impl RecordingProvider {
 }
 
 /// The topic and description of the requested images.
-fn find(path: &Path, wanted: Option<&str>) -> Result<(String, Description), RecordingError> {
+fn find(path: &Path, wanted: Option<&str>) -> Result<(String, ProviderDescription), RecordingError> {
     let mut messages = Messages::open(path)?;
     let mut has = BTreeMap::new();
     let fits = |topic: &str| wanted.is_none_or(|w| topic == w || topic.strip_prefix("/image/") == Some(w));
@@ -199,7 +199,7 @@ fn find(path: &Path, wanted: Option<&str>) -> Result<(String, Description), Reco
 }
 
 /// The description of a topic that is known only by its first message.
-fn describe(name: &str, first: Message) -> Description {
+fn describe(name: &str, first: Message) -> ProviderDescription {
     let images = first.frame().map(|frame| frame.images).unwrap_or_default();
     let images = images.iter().map(|image| ImageDescription {
         role: image.role().into(),
@@ -208,7 +208,7 @@ fn describe(name: &str, first: Message) -> Description {
         height: image.height(),
         camera: None,
     });
-    Description {
+    ProviderDescription {
         name: name.trim_start_matches('/').replace('/', "_"),
         about: "a recording".into(),
         frame_id: "camera".into(),
@@ -219,7 +219,7 @@ fn describe(name: &str, first: Message) -> Description {
 
 #[async_trait]
 impl ImageProvider for RecordingProvider {
-    fn description(&self) -> Description {
+    fn description(&self) -> ProviderDescription {
         self.description.clone()
     }
 

@@ -1,4 +1,4 @@
-use super::super::writing::Recording;
+use super::super::writing::RecordingWriter;
 use super::super::{PixelFormat, RawImage};
 use super::*;
 
@@ -18,12 +18,12 @@ fn frame(number: u64) -> RawFrame {
     }
 }
 
-fn description(name: &str) -> Description {
-    Description::of_stereo(name, "eye", &crate::scenes::CALIBRATION)
+fn description(name: &str) -> ProviderDescription {
+    ProviderDescription::of_stereo(name, "eye", &crate::scenes::CALIBRATION)
 }
 
 fn record(path: &Path) {
-    let mut recording = Recording::create(path).unwrap();
+    let mut recording = RecordingWriter::create(path).unwrap();
     for name in ["eyes", "other"] {
         recording.add_provider(&description(name)).unwrap();
     }

@@ -18,7 +18,7 @@ pub(super) const CALIBRATION: StereoCalibration = StereoCalibration {
     baseline: 0.093,
 };
 /// Frames per second.
-pub(super) const RATE_HZ: f64 = 30.0;
+pub const RATE_HZ: f64 = 30.0;
 /// Frames per gesture, and among them those in which the hand changes to it.
 pub(super) const STAYS: u64 = 30;
 pub(super) const CHANGES: u64 = 6;

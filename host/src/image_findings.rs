@@ -1,4 +1,4 @@
-//! Converts a processor's findings to lines of JSON and to observations for a memory. It knows neither the processors
+//! What a processor of images found, as a line of JSON and as observations for a memory. It knows neither the processors
 //! nor the memory.
 
 use std::collections::BTreeMap;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use armarium_memoryx::updater::Observation;
 use armarium_memoryx::{Commit, EntityId, MemoryError};
 use armarium_values::{Frame, Pose, Value, Vector};
-use armarium_visionx::{Finding, FindingSource, TableObject, Tabletop};
+use armarium_visionx::{FindingSource, ImageFinding, TableObject, Tabletop};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use serde_json::{Value as Json, json};
 
@@ -17,17 +17,18 @@ const PALM: f64 = 1e-4;
 const THING: f64 = 0.8;
 
 /// A finding as a line of JSON.
-pub(super) fn line(source: &FindingSource, finding: &Finding) -> Json {
+#[must_use]
+pub fn line(source: &FindingSource, finding: &ImageFinding) -> Json {
     let mut line = json!({"provider": source.provider, "stamp_ns": source.stamp_ns});
     line[source.processor.as_str()] = match finding {
-        Finding::Hand(Some(hand)) => json!({
+        ImageFinding::Hand(Some(hand)) => json!({
             "gesture": hand.gesture.to_string(), "confidence": hand.confidence,
             "palm_m": hand.palm_in_left.coords.as_slice(), "palm_px": hand.palm_px.coords.as_slice(),
         }),
-        Finding::Marker(Some(marker)) => json!({
+        ImageFinding::Marker(Some(marker)) => json!({
             "position_m": marker.point_in_left.coords.as_slice(), "visible": marker.visible,
         }),
-        Finding::Fingertips(tips) => tips
+        ImageFinding::Fingertips(tips) => tips
             .iter()
             .map(|tip| {
                 json!({
@@ -35,7 +36,7 @@ pub(super) fn line(source: &FindingSource, finding: &Finding) -> Json {
                 })
             })
             .collect(),
-        Finding::Tabletop(Some(seen)) => json!({
+        ImageFinding::Tabletop(Some(seen)) => json!({
             "table": {"pose_m_rad": pose(&seen.table.root_from_table), "size_m": seen.table.size},
             "objects": seen.objects.iter().map(thing).collect::<Vec<_>>(),
         }),
@@ -59,7 +60,8 @@ fn pose(pose: &Isometry3<f64>) -> [f64; 6] {
 
 /// The observations of positions in a finding; empty without one. Those in a camera's frame have the frame
 /// `frame_id`.
-pub(super) fn observations(source: &FindingSource, finding: &Finding, frame_id: &str) -> Vec<Observation> {
+#[must_use]
+pub fn observations(source: &FindingSource, finding: &ImageFinding, frame_id: &str) -> Vec<Observation> {
     let observed =
         |class: &str, frame: &str, position: &Vector3<f64>, covariance: &Matrix3<f64>| Observation {
             class: class.to_owned(),
@@ -73,7 +75,7 @@ pub(super) fn observations(source: &FindingSource, finding: &Finding, frame_id: 
         observed(&source.processor, frame_id, position, covariance)
     };
     match finding {
-        Finding::Hand(Some(hand)) => {
+        ImageFinding::Hand(Some(hand)) => {
             let gesture = Value::from(hand.gesture.to_string().as_str());
             vec![Observation {
                 confidence: hand.confidence.clamp(0.0, 1.0),
@@ -81,11 +83,11 @@ pub(super) fn observations(source: &FindingSource, finding: &Finding, frame_id: 
                 ..in_camera(&hand.palm_in_left.coords, &(Matrix3::identity() * PALM))
             }]
         }
-        Finding::Marker(Some(marker)) => vec![Observation {
+        ImageFinding::Marker(Some(marker)) => vec![Observation {
             confidence: marker.visible.clamp(0.0, 1.0),
             ..in_camera(&marker.point_in_left.coords, &marker.covariance)
         }],
-        Finding::Tabletop(Some(seen)) => {
+        ImageFinding::Tabletop(Some(seen)) => {
             let thing = |object: &TableObject| Observation {
                 confidence: THING,
                 attributes: attributes_of(object),
@@ -110,8 +112,8 @@ fn attributes_of(object: &TableObject) -> BTreeMap<String, Value> {
 ///
 /// # Errors
 /// [`MemoryError::Name`] when the processor's name is not valid in an address.
-pub(super) fn surroundings(source: &FindingSource, finding: &Finding) -> Result<Option<Commit>, MemoryError> {
-    let Finding::Tabletop(Some(Tabletop { table, .. })) = finding else { return Ok(None) };
+pub fn surroundings(source: &FindingSource, finding: &ImageFinding) -> Result<Option<Commit>, MemoryError> {
+    let ImageFinding::Tabletop(Some(Tabletop { table, .. })) = finding else { return Ok(None) };
     let id = EntityId::new("EnvironmentModels", &source.processor, "table")?;
     let pose = Value::Pose(Pose::new(Frame::from("root"), &table.root_from_table));
     let size = Value::from([table.size[0], table.size[1], 0.0]);
