@@ -21,7 +21,7 @@ codes! {
     MISSING_KEY = "E005";
     /// A name that cannot be used.
     NAME = "E006";
-    /// A state that is two things at once.
+    /// A state that is two things at once, or a key that a state of its kind never uses.
     KIND = "E007";
     /// A name that is there twice.
     DUPLICATE = "E008";
