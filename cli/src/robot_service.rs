@@ -14,7 +14,7 @@ use crate::console::{Terminal, refuse};
 use crate::described;
 use crate::stopped::stopped;
 
-/// By what name this program asks for a robot.
+/// By what name this program asks for a robot, unless it is told another one.
 const CALLER: &str = "armarium robot";
 
 /// Arguments of `robot serve`.
@@ -63,6 +63,9 @@ pub(crate) struct TestArgs {
     /// Move the robot. Without it, only what will be done is said.
     #[arg(long)]
     moves: bool,
+    /// By what name to ask for it; with certificates, the common name of the own one.
+    #[arg(long, value_name = "NAME", default_value = CALLER)]
+    name: String,
     #[command(flatten)]
     connection: ConnectionArgs,
 }
@@ -78,6 +81,9 @@ pub(crate) struct ScaleArgs {
     /// The robot, by its name (`armarium robot list`) or its file.
     #[arg(long, value_name = "FILE|NAME")]
     robot: String,
+    /// By what name to ask for it; with certificates, the common name of the own one.
+    #[arg(long, value_name = "NAME", default_value = CALLER)]
+    name: String,
     #[command(flatten)]
     connection: ConnectionArgs,
 }
@@ -184,10 +190,10 @@ fn check(
     let at = (args.at.agent.as_str(), args.at.name.as_str());
     if !args.driver {
         let robot: Arc<dyn Robot> =
-            Arc::new(threads.block_on(RemoteRobot::connect(session, at, model, CALLER))?);
+            Arc::new(threads.block_on(RemoteRobot::connect(session, at, model, &args.name))?);
         return Ok(threads.block_on(judge(&robot, limbs, out)));
     }
-    let driver = threads.block_on(RemoteDriver::connect(session, at, model, CALLER))?;
+    let driver = threads.block_on(RemoteDriver::connect(session, at, model, &args.name))?;
     let clock = driver.clock();
     let (guard, robot) = Guard::new(Arc::clone(model), GuardConfig::of(model));
     let robot: Arc<dyn Robot> = robot;
@@ -232,7 +238,7 @@ pub(crate) fn scale(args: &ScaleArgs, out: &mut dyn Write) -> io::Result<u8> {
         Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
     };
     let Address { agent, name } = &args.at;
-    let robot = RemoteRobot::connect(connection.session(), (agent, name), &model, CALLER);
+    let robot = RemoteRobot::connect(connection.session(), (agent, name), &model, &args.name);
     let set = connection.runtime().block_on(robot).and_then(|robot| robot.set_speed_scale(args.factor));
     match set {
         Ok(()) => writeln!(out, "{agent}/{name} moves at {} of what is commanded", args.factor).map(|()| 0),

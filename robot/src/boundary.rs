@@ -104,6 +104,18 @@ pub struct LeaseLimits {
     pub speed_m_s: Option<f64>,
 }
 
+impl LeaseLimits {
+    /// # Errors
+    /// [`LeaseError::Limit`] when one is negative or no number.
+    pub(crate) fn check(&self) -> Result<(), LeaseError> {
+        let limits = [("force", self.force_n), ("speed", self.speed_m_s)];
+        let wrong = limits
+            .into_iter()
+            .find_map(|(what, limit)| Some((what, limit.filter(|limit| limit.is_nan() || *limit < 0.0)?)));
+        wrong.map_or(Ok(()), |(what, value)| Err(LeaseError::Limit { what: what.into(), value }))
+    }
+}
+
 /// Why the guard took the limb from its commander.
 #[derive(Clone, Debug, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -165,7 +177,7 @@ pub enum Fault {
 }
 
 /// Why a lease was refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum LeaseError {
@@ -194,6 +206,14 @@ pub enum LeaseError {
     /// No limb is named.
     #[error("a lease is of one limb at least")]
     Nothing,
+    /// A limit of the lease is negative or no number.
+    #[error("a lease's largest {what} cannot be {value}: it is a number from 0 on")]
+    Limit {
+        /// Of what.
+        what: String,
+        /// The limit.
+        value: f64,
+    },
     /// The robot has been stopped and not been reset since.
     #[error("the robot is stopped: {reason}")]
     Stopped {

@@ -80,7 +80,8 @@ impl RemoteDriver {
         let targets = session.control_sender(&keys.targets, &encoding).await.map_err(unreachable)?;
         // What it is comes before the claim: a driver of another robot is left alone.
         let asked = session.query_until(&keys.description, FOUND_WITHIN).await.map_err(unreachable)?;
-        let order = Order::of(&described(&name, &asked)?, model, &name)?;
+        let before = described(&name, &asked)?;
+        let order = Order::of(&before, model, &name)?;
         let commander = format!("{} {}", session.id(), session.now_ns());
         let claim = Claim { commander: commander.clone(), caller: caller.into() };
         let (encoding, payload) = written(&claim);
@@ -88,7 +89,7 @@ impl RemoteDriver {
             session.query_one(&keys.claim, "", Some((&encoding, payload))).await.map_err(unreachable)?;
         let described = described(&name, &answer)?;
         let session = session.clone();
-        Ok(Self {
+        let driver = Self {
             name,
             session,
             keys,
@@ -101,7 +102,12 @@ impl RemoteDriver {
             last: None,
             sent: Vec::new(),
             claimed: true,
-        })
+        };
+        // One that was started anew in between may have another order.
+        if driver.described.epoch != before.epoch {
+            return Err(DriverError::Restarted { driver: driver.name.clone() });
+        }
+        Ok(driver)
     }
 
     /// Its name, `AGENT/DRIVER`.

@@ -201,6 +201,7 @@ impl Robot for GuardedRobot {
         limits: LeaseLimits,
         touches: &[String],
     ) -> Result<Lease, LeaseError> {
+        limits.check()?;
         let mut table = self.shared.leases();
         if let Some(reason) = &table.stopped {
             return Err(LeaseError::Stopped { reason: reason.clone() });

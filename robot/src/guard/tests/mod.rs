@@ -95,6 +95,17 @@ impl Rig {
 }
 
 #[test]
+fn a_lease_with_an_impossible_limit_is_refused() {
+    let rig = Rig::new();
+    for (force, speed) in [(f64::NAN, 0.3), (-1.0, 0.3), (10.0, f64::NAN), (10.0, -0.1)] {
+        let limits = LeaseLimits { force_n: Some(force), speed_m_s: Some(speed) };
+        let refused = rig.robot.lease("right_arm", "test", limits).map(|_| ()).unwrap_err();
+        assert!(matches!(refused, LeaseError::Limit { .. }), "{refused}");
+    }
+    drop(rig.lease("right_arm"));
+}
+
+#[test]
 fn every_joint_brakes_from_full_speed_within_200_ms() {
     for limb in ["right_arm", "left_arm", "torso", "head", "right_hand", "left_hand"] {
         let mut rig = Rig::new();
