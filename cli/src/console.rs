@@ -4,9 +4,9 @@ use std::io::{self, IsTerminal as _, Write};
 use std::process;
 use std::sync::Arc;
 
-use armarium_host::{Clock, Console, HostError};
+use armarium_host::{Console, HostError, WorldClock};
 use armarium_source::Finding;
-use armarium_viewer::progress::{Progress, Status};
+use armarium_viewer::progress::{Progress, ProgressLine};
 
 use crate::connection_args::explained;
 use crate::logging;
@@ -53,11 +53,11 @@ impl Console for Terminal {
         }
     }
 
-    fn progress(&self, status: &Status) {
+    fn progress(&self, status: &ProgressLine) {
         self.progress.update(status);
     }
 
-    fn finished(&self, status: &Status) {
+    fn finished(&self, status: &ProgressLine) {
         self.progress.finish(status);
     }
 
@@ -74,7 +74,7 @@ impl Console for Terminal {
         process::exit(1);
     }
 
-    fn world_begins(&self, clock: Clock) {
+    fn world_begins(&self, clock: WorldClock) {
         if let Err(error) = logging::install(&self.progress, clock, self.verbose, self.colour()) {
             self.note(&format!("warning: {error}"));
         }

@@ -2,7 +2,7 @@
 //!
 //! Warnings are shown; `-v` shows information too. `RUST_LOG`, if set, decides instead.
 
-use armarium_host::Clock;
+use armarium_host::WorldClock;
 use armarium_viewer::progress::Progress;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
@@ -13,7 +13,7 @@ use tracing_subscriber::fmt::time::FormatTime;
 const QUIET: &str = "zenoh::net::routing::hat=error,foxglove=off";
 
 /// Prints the simulated time of an event.
-struct Simulated(Clock);
+struct Simulated(WorldClock);
 
 impl FormatTime for Simulated {
     fn format_time(&self, w: &mut Writer<'_>) -> std::fmt::Result {
@@ -34,7 +34,7 @@ fn filter(wanted: Option<&str>, verbose: bool) -> Result<EnvFilter, String> {
 /// A subscriber that writes lines above the progress line.
 fn subscriber(
     progress: &Progress,
-    clock: Clock,
+    clock: WorldClock,
     filter: EnvFilter,
     colour: bool,
 ) -> impl tracing::Subscriber + Send + Sync + use<> {
@@ -59,7 +59,12 @@ pub(crate) fn check_environment() -> Result<(), String> {
 ///
 /// # Errors
 /// When `RUST_LOG` cannot be parsed.
-pub(crate) fn install(progress: &Progress, clock: Clock, verbose: bool, colour: bool) -> Result<(), String> {
+pub(crate) fn install(
+    progress: &Progress,
+    clock: WorldClock,
+    verbose: bool,
+    colour: bool,
+) -> Result<(), String> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), verbose)?;
     // An existing subscriber is a test's, or that of an embedding program.
     drop(tracing::subscriber::set_global_default(subscriber(progress, clock, filter, colour)));
@@ -84,7 +89,7 @@ mod tests {
     use std::io::Write;
     use std::sync::Arc;
 
-    use armarium_viewer::progress::Status;
+    use armarium_viewer::progress::ProgressLine;
     use parking_lot::Mutex;
 
     use super::*;
@@ -107,7 +112,7 @@ mod tests {
     fn written(wanted: Option<&str>, verbose: bool) -> String {
         let page = Page::default();
         let progress = Progress::new(Box::new(page.clone()), true);
-        progress.update(&Status { states: vec!["Live".into()], ..Status::default() });
+        progress.update(&ProgressLine { states: vec!["Live".into()], ..ProgressLine::default() });
         let filter = filter(wanted, verbose).unwrap();
         tracing::subscriber::with_default(subscriber(&progress, Arc::new(|| 0), filter, false), || {
             tracing::warn!(target: "armarium_bus", "slippery");

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use armarium_experiments::{Entry, ExperimentError, Key, Outcome, all, save};
+use armarium_experiments::{Entry, ExperimentError, ExperimentResult, SettingInfo, all, save};
 use armarium_values::expr::nearest;
 
 /// Arguments of `reproduce`.
@@ -45,9 +45,9 @@ pub(crate) fn run(args: &ReproduceArgs, out: &mut dyn Write) -> io::Result<u8> {
         return Ok(2);
     };
     match entry.run(&args.settings) {
-        Ok((inputs, outcome)) => {
-            let files = save(&args.out, entry.name, inputs, &outcome)?;
-            summarise(entry.name, &outcome, &files, out)?;
+        Ok((inputs, found)) => {
+            let files = save(&args.out, entry.name, inputs, &found)?;
+            summarise(entry.name, &found, &files, out)?;
             Ok(0)
         }
         Err(error) => {
@@ -58,9 +58,9 @@ pub(crate) fn run(args: &ReproduceArgs, out: &mut dyn Write) -> io::Result<u8> {
 }
 
 /// Prints the figures that are short enough for a terminal, and where the others are.
-fn summarise(name: &str, outcome: &Outcome, files: &[PathBuf], out: &mut dyn Write) -> io::Result<()> {
+fn summarise(name: &str, found: &ExperimentResult, files: &[PathBuf], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{name}")?;
-    for (figure, value) in &outcome.figures {
+    for (figure, value) in &found.figures {
         let text = value.to_string();
         let text = if text.len() > 90 { "(in the JSON)" } else { &text };
         writeln!(out, "    {figure:<28} {text}")?;
@@ -84,7 +84,7 @@ fn long_listing() -> String {
     let mut text = "Experiments and their settings with defaults:\n".to_owned();
     for entry in all() {
         text += &format!("\n  {}: {}\n", entry.name, entry.about);
-        for Key { name, default, doc } in &entry.keys {
+        for SettingInfo { name, default, doc } in &entry.keys {
             text += &format!("    {:<30} {doc}\n", format!("{name}={default}"));
         }
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use armarium_robot::description::{self, Description, shipped_robots};
 use armarium_robot::{JointKind, Kinematics, Model};
 use armarium_simulator::render::robot::robot_shapes;
-use armarium_simulator::render::{Scene, Viewpoint, render as draw};
+use armarium_simulator::render::{Viewpoint, VisibleScene, render as draw};
 use armarium_visionx::{PinholeCamera, annotate};
 use nalgebra::{Isometry3, Vector3};
 
@@ -180,7 +180,7 @@ fn drawn(kinematics: &Kinematics) -> armarium_visionx::RgbImage {
     let camera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [319.5, 239.5] };
     let eye = middle + lift + Vector3::new(0.8, 0.8, 0.45) * size;
     let mut scene =
-        Scene::new(robot_shapes(kinematics, &Isometry3::from_parts(lift.into(), Default::default())));
+        VisibleScene::new(robot_shapes(kinematics, &Isometry3::from_parts(lift.into(), Default::default())));
     scene.light = Vector3::new(0.6, 0.3, 0.9);
     let room = size.max(1.0) * 4.0;
     scene.background.lower = Vector3::new(-room, -room, 0.0);

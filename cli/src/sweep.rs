@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use armarium_host::sweep::{Rate, Run, SweepConfig, groups, rate, sweep, write_page};
+use armarium_host::sweep::{Rate, SweepConfig, SweptRun, groups, rate, sweep, write_page};
 use armarium_simulator::World;
 use serde_json::json;
 
@@ -112,7 +112,7 @@ pub(crate) fn run(args: &SweepArgs, out: &mut dyn Write) -> io::Result<u8> {
         return show(&findings, out).map(|()| 2);
     }
     let config = args.config();
-    let ended = |run: &Run, count: usize, all: usize| {
+    let ended = |run: &SweptRun, count: usize, all: usize| {
         let line =
             if args.json { serde_json::to_string(run).unwrap_or_default() } else { shown(run, count, all) };
         let _ = writeln!(io::stdout(), "{line}");
@@ -126,7 +126,7 @@ pub(crate) fn run(args: &SweepArgs, out: &mut dyn Write) -> io::Result<u8> {
         Ok(page) => page,
         Err(error) => return refuse(&error, out),
     };
-    let all: Vec<&Run> = runs.iter().collect();
+    let all: Vec<&SweptRun> = runs.iter().collect();
     let whole = rate(&all);
     if args.json {
         let groups =
@@ -145,7 +145,7 @@ pub(crate) fn run(args: &SweepArgs, out: &mut dyn Write) -> io::Result<u8> {
     Ok(u8::from(whole.held < whole.runs || runs.is_empty()))
 }
 
-fn shown(run: &Run, count: usize, all: usize) -> String {
+fn shown(run: &SweptRun, count: usize, all: usize) -> String {
     let inputs: String = run.inputs.iter().map(|(name, value)| format!(" {name}={value}")).collect();
     let failed: Vec<String> =
         run.failed_figures().map(|figure| format!("{}: {}", figure.group, figure.name)).collect();

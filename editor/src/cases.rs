@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use armarium_runtime::chart::{Library, NameReference, Section, Symbol};
+use armarium_runtime::chart::{HeadSection, Library, NameReference, Symbol};
 use armarium_source::yaml::{Entries, Node, Yaml};
 use armarium_source::{Source, Span};
 
@@ -81,7 +81,7 @@ impl Cases<'_> {
         }
         self.scripts(tree);
         for case in tree.get("cases").map_or(&[][..], Node::items) {
-            self.declared(case, "given", Section::Inputs);
+            self.declared(case, "given", HeadSection::Inputs);
             self.scripts(case);
             for step in case.get("steps").map_or(&[][..], Node::items) {
                 self.step(step);
@@ -89,7 +89,7 @@ impl Cases<'_> {
         }
     }
 
-    fn declared(&mut self, node: &Node, key: &str, section: Section) {
+    fn declared(&mut self, node: &Node, key: &str, section: HeadSection) {
         for (name, _) in entries(node, key) {
             let (chart, text) = (self.root.to_owned(), name.text.clone());
             self.add(name.span, Symbol::Declared { chart, section, name: text });
@@ -157,8 +157,8 @@ impl Cases<'_> {
                 self.state(path, span);
             }
         }
-        self.declared(expect, "locals", Section::Locals);
-        self.declared(expect, "outputs", Section::Outputs);
+        self.declared(expect, "locals", HeadSection::Locals);
+        self.declared(expect, "outputs", HeadSection::Outputs);
         if let Some((outcome, span)) = Self::text(expect.get("outcome")) {
             let (chart, name) = (self.root.to_owned(), outcome.to_owned());
             self.add(span, Symbol::Outcome { chart, state: String::new(), name });

@@ -1,6 +1,6 @@
 //! Types and units beside what is given to inputs.
 
-use armarium_runtime::chart::{Library, Section, SkillPart, Symbol};
+use armarium_runtime::chart::{HeadSection, Library, SkillPart, Symbol};
 use armarium_runtime::skill::Parameter;
 use lsp_types::{InlayHint, InlayHintKind, InlayHintLabel, Range, Uri};
 
@@ -57,7 +57,7 @@ impl Workspace {
             Symbol::OfSkill { skill, part: SkillPart::Input, name } => {
                 (&self.catalog.registry.manifest(skill)?.inputs, name)
             }
-            Symbol::Declared { chart, section: Section::Inputs, name } => {
+            Symbol::Declared { chart, section: HeadSection::Inputs, name } => {
                 (&library.charts.get(chart)?.inputs, name)
             }
             _ => return None,

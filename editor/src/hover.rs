@@ -1,6 +1,6 @@
 //! What is known of a name, for people.
 
-use armarium_runtime::chart::{Library, OutlineKind, Section, SkillPart, Symbol};
+use armarium_runtime::chart::{HeadSection, Library, OutlineKind, SkillPart, Symbol};
 use armarium_runtime::skill::{Parameter, SkillManifest};
 use armarium_source::{Span, code};
 use armarium_values::expr;
@@ -102,10 +102,10 @@ impl Workspace {
                     Some(parameter(what, found))
                 };
                 match section {
-                    Section::Inputs => of(&chart.inputs, "input")?,
-                    Section::Outputs => of(&chart.outputs, "output")?,
-                    Section::Locals => of(&chart.locals, "local")?,
-                    Section::Types => format!("type `{name}`"),
+                    HeadSection::Inputs => of(&chart.inputs, "input")?,
+                    HeadSection::Outputs => of(&chart.outputs, "output")?,
+                    HeadSection::Locals => of(&chart.locals, "local")?,
+                    HeadSection::Types => format!("type `{name}`"),
                 }
             }
             Symbol::Event { name } => {

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use armarium_runtime::chart::{NameReference, Section, SkillPart, Symbol, is_name};
+use armarium_runtime::chart::{HeadSection, NameReference, SkillPart, Symbol, is_name};
 use armarium_source::{Edit, Source, applied};
 use lsp_types::{
     DocumentChanges, OneOf, OptionalVersionedTextDocumentIdentifier, Position, Range, TextDocumentEdit,
@@ -291,7 +291,7 @@ fn unfit(symbol: &Symbol, name: &str) -> Option<&'static str> {
         Symbol::Event { .. } | Symbol::Outcome { .. } => (!name.split('.').all(|part| word(part, "-")))
             .then_some("is not the name of an event: letters, digits, `_` and `-`, in parts joined by dots"),
         _ if is_name(name) => {
-            let types = matches!(symbol, Symbol::Declared { section: Section::Types, .. });
+            let types = matches!(symbol, Symbol::Declared { section: HeadSection::Types, .. });
             let known = types && armarium_values::Type::parse(name, &|_| None).is_some();
             known.then_some("is a type that the language gives")
         }

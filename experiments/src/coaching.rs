@@ -9,7 +9,7 @@ use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome, panel};
+use super::experiment::{Experiment, ExperimentResult, panel};
 use super::phase::{mean, over_period};
 use super::planar::{PlanarArm, Redundancy};
 use super::settings::{Setting, Settings as _, settings};
@@ -100,7 +100,7 @@ impl Experiment for Coaching {
     const ALIASES: &'static [(&'static str, &'static str)] =
         &[("width", "h"), ("forgetting", "lambda"), ("initial_gain", "p0")];
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let mut dmp = self.learn()?;
         let log = self.execute(&mut dmp)?;
@@ -252,12 +252,12 @@ impl Coaching {
         [self.first_coached() as f64, (self.seconds / self.dt).round()]
     }
 
-    fn figures(&self, log: &CoachingLog) -> Outcome {
+    fn figures(&self, log: &CoachingLog) -> ExperimentResult {
         let [before, after] = self.compared();
         let (x, y) = (self.over_period(&log.x, before), self.over_period(&log.x, after));
         let (p, q) = (self.over_period(&log.q, before), self.over_period(&log.q, after));
         let o = Vector2::from(self.o);
-        let mut outcome = Outcome::default();
+        let mut outcome = ExperimentResult::default();
         let moved: Vec<f64> = x.iter().zip(&y).map(|(a, b)| (b - a).norm()).collect();
         let distance: Vec<f64> = x.iter().map(|a| (a - o).norm()).collect();
         let count = moved.len();

@@ -11,7 +11,7 @@ use armarium_motion::{
 use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome, panel};
+use super::experiment::{Experiment, ExperimentResult, panel};
 use super::settings::{Settings as _, settings};
 
 settings! {
@@ -147,14 +147,14 @@ impl Experiment for Dpdmp {
     const ALIASES: &'static [(&'static str, &'static str)] =
         &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let demonstrated = self.shape(self.center, self.a);
         let adapted = self.shape(self.adapted_center, self.adapted_a);
         let mut modified = self.learn(CanonicalRule::Modified, &demonstrated)?;
         let mut original = self.learn(CanonicalRule::Original, &demonstrated)?;
         let range = self.range(&demonstrated);
-        let mut outcome = Outcome::default();
+        let mut outcome = ExperimentResult::default();
         let (phi, r) = modified.initial_phase();
         outcome.figure("phi_init", phi);
         outcome.figure("r_init", r);

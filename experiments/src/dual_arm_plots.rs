@@ -4,7 +4,7 @@ use armarium_simulator::carrying::CarryingRecord;
 use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 
 use super::dual_arm::{DualArm, Epoch};
-use super::experiment::{Outcome, panel};
+use super::experiment::{ExperimentResult, panel};
 
 impl DualArm {
     pub(super) fn figures(
@@ -12,7 +12,7 @@ impl DualArm {
         before: &Epoch,
         epochs: &[Epoch],
         diverged: Option<usize>,
-        outcome: &mut Outcome,
+        outcome: &mut ExperimentResult,
     ) {
         let each = |of: &dyn Fn(&Epoch) -> f64| epochs.iter().map(of).collect::<Vec<f64>>();
         outcome.figure("distance_rms_m", each(&|e| e.figures.distance_rms_m));

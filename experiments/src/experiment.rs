@@ -4,18 +4,18 @@ use armarium_viewer::report::{Curve, Panel};
 use serde_json::{Map, Value};
 
 use super::error::ExperimentError;
-use super::settings::{self, Key, Settings};
+use super::settings::{self, SettingInfo, Settings};
 
 /// Named figures, and plots.
 #[derive(Clone, Debug, Default)]
-pub struct Outcome {
+pub struct ExperimentResult {
     /// The top level of the JSON; a missing figure is `null`.
     pub figures: Map<String, Value>,
     /// File stem and SVG of each plot.
     pub plots: Vec<(String, String)>,
 }
 
-impl Outcome {
+impl ExperimentResult {
     /// Adds a figure; a number that is not finite becomes `null`.
     pub(crate) fn figure(&mut self, name: &str, value: impl Into<Value>) {
         self.figures.insert(name.to_owned(), value.into());
@@ -45,10 +45,10 @@ pub(crate) trait Experiment: Settings {
     ///
     /// # Errors
     /// [`ExperimentError`] when a setting is out of range, or the settings do not fit together.
-    fn run(&self) -> Result<Outcome, ExperimentError>;
+    fn run(&self) -> Result<ExperimentResult, ExperimentError>;
 }
 
-type Run = fn(&[(String, String)]) -> Result<(Value, Outcome), ExperimentError>;
+type Run = fn(&[(String, String)]) -> Result<(Value, ExperimentResult), ExperimentError>;
 
 /// An entry in the list of experiments.
 #[derive(Debug)]
@@ -58,7 +58,7 @@ pub struct Entry {
     /// A one-line description.
     pub about: &'static str,
     /// Its settings.
-    pub keys: Vec<Key>,
+    pub keys: Vec<SettingInfo>,
     run: Run,
 }
 
@@ -72,13 +72,13 @@ impl Entry {
     ///
     /// # Errors
     /// [`ExperimentError`] for an unknown or invalid setting, and when the settings do not fit together.
-    pub fn run(&self, settings: &[(String, String)]) -> Result<(Value, Outcome), ExperimentError> {
+    pub fn run(&self, settings: &[(String, String)]) -> Result<(Value, ExperimentResult), ExperimentError> {
         (self.run)(settings)
     }
 }
 
 /// Reads the settings and runs; returns all settings as they were used, and the outcome.
-fn run<E: Experiment>(given: &[(String, String)]) -> Result<(Value, Outcome), ExperimentError> {
+fn run<E: Experiment>(given: &[(String, String)]) -> Result<(Value, ExperimentResult), ExperimentError> {
     let experiment: E = settings::read(given)?;
     let inputs = serde_json::to_value(&experiment)
         .map_err(|error| ExperimentError::Failed(format!("the inputs cannot be written: {error}")))?;

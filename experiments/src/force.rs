@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome, panel};
+use super::experiment::{Experiment, ExperimentResult, panel};
 use super::settings::{Settings as _, settings};
 
 settings! {
@@ -73,11 +73,11 @@ impl Experiment for Force {
     const NAME: &'static str = "force";
     const ABOUT: &'static str = "wiping over an unknown table learns to keep a force (Gams et al. 2014)";
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let (log, stiffness) = self.wipe()?;
         let (rms, off) = self.rms(&log);
-        let mut outcome = Outcome::default();
+        let mut outcome = ExperimentResult::default();
         outcome.figure("rms_n", rms.clone());
         outcome.figure("rms_off_n", off);
         outcome.figure("stiffness_found_n_m", stiffness);

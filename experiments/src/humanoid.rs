@@ -16,7 +16,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome, panel};
+use super::experiment::{Experiment, ExperimentResult, panel};
 use super::humanoid_arm::{DT, HumanoidArm, JOINTS, Joints, largest};
 use super::humanoid_coach::{Arms, Modification, Tracker};
 use super::phase::{mean, over_period};
@@ -96,7 +96,7 @@ impl Experiment for HumanoidCoaching {
         "coach's hands push and pull the arm of ARMAR-III (Petric et al. 2014, Figs 6, 7, 9)";
     const ALIASES: &'static [(&'static str, &'static str)] = &[("forgetting", "lambda")];
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let mut arm = HumanoidArm::new()?;
         let mut tracker = self.calibrate()?;
@@ -251,8 +251,8 @@ impl HumanoidCoaching {
         }
     }
 
-    fn figures(&self, arm: &HumanoidArm, tracker: &Tracker, logs: &[RunLog]) -> Outcome {
-        let mut outcome = Outcome::default();
+    fn figures(&self, arm: &HumanoidArm, tracker: &Tracker, logs: &[RunLog]) -> ExperimentResult {
+        let mut outcome = ExperimentResult::default();
         let each = |of: &dyn Fn(&RunLog) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
         let names: Vec<_> = logs.iter().map(|log| log.modification.name()).collect();
         outcome.figure("modifications", names);

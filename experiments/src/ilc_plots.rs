@@ -3,7 +3,7 @@
 use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use nalgebra::{Vector3, Vector4};
 
-use super::experiment::{Outcome, panel};
+use super::experiment::{ExperimentResult, panel};
 use super::ilc::{Epoch, Ilc, Learning};
 
 fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
@@ -33,7 +33,12 @@ impl Ilc {
         rms(epoch.x.iter().map(|[right, left]| (right + apart - left).norm()))
     }
 
-    pub(super) fn figures(&self, learning: &Learning, forces_only: &Learning, outcome: &mut Outcome) {
+    pub(super) fn figures(
+        &self,
+        learning: &Learning,
+        forces_only: &Learning,
+        outcome: &mut ExperimentResult,
+    ) {
         let per_epoch = |learning: &Learning, of: &dyn Fn(&Epoch) -> f64| {
             learning.epochs.iter().map(of).collect::<Vec<_>>()
         };

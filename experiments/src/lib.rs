@@ -34,8 +34,8 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 pub use self::error::ExperimentError;
-pub use self::experiment::{Entry, Outcome};
-pub use self::settings::Key;
+pub use self::experiment::{Entry, ExperimentResult};
+pub use self::settings::SettingInfo;
 
 /// All experiments, in the order listed.
 pub fn all() -> Vec<Entry> {
@@ -56,7 +56,12 @@ pub fn all() -> Vec<Entry> {
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn save(folder: &Path, name: &str, inputs: Value, outcome: &Outcome) -> io::Result<Vec<PathBuf>> {
+pub fn save(
+    folder: &Path,
+    name: &str,
+    inputs: Value,
+    outcome: &ExperimentResult,
+) -> io::Result<Vec<PathBuf>> {
     std::fs::create_dir_all(folder)?;
     let mut json = Map::new();
     json.insert("experiment".into(), name.into());

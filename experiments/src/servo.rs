@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome, panel};
+use super::experiment::{Experiment, ExperimentResult, panel};
 use super::settings::{Settings as _, settings};
 
 settings! {
@@ -66,7 +66,7 @@ impl Experiment for Servo {
         ("rotation_tolerance", "tolerance_deg"),
     ];
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let (frames, status) = self.servo()?;
         let mut outcome = self.figures(&frames, status);
@@ -143,8 +143,8 @@ impl Servo {
         distance <= self.tolerance_m && angle <= self.tolerance_deg.to_radians()
     }
 
-    fn figures(&self, frames: &[Frame], status: ServoStatus) -> Outcome {
-        let mut outcome = Outcome::default();
+    fn figures(&self, frames: &[Frame], status: ServoStatus) -> ExperimentResult {
+        let mut outcome = ExperimentResult::default();
         let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return outcome };
         let length: f64 = frames.windows(2).map(|w| (w[1].position - w[0].position).norm()).sum();
         let straight = (last.position - first.position).norm();

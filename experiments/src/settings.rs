@@ -143,7 +143,7 @@ impl<T: Setting + DeserializeOwned> Setting for Option<T> {
 
 /// A setting as listed.
 #[derive(Clone, Debug)]
-pub struct Key {
+pub struct SettingInfo {
     /// Its name.
     pub name: &'static str,
     /// Its default value, as text.
@@ -153,11 +153,11 @@ pub struct Key {
 }
 
 /// All keys of `S`, in the order declared.
-pub(crate) fn keys<S: Settings>() -> Vec<Key> {
+pub(crate) fn keys<S: Settings>() -> Vec<SettingInfo> {
     let defaults = defaults::<S>();
     S::KEYS
         .iter()
-        .map(|(name, doc)| Key {
+        .map(|(name, doc)| SettingInfo {
             name,
             default: defaults.get(*name).map_or_else(String::new, shown),
             doc: doc.trim(),

@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 
 use super::*;
 
-fn outcome(name: &str, settings: &[(&str, &str)]) -> Outcome {
+fn outcome(name: &str, settings: &[(&str, &str)]) -> ExperimentResult {
     let settings: Vec<_> = settings.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
     let entry = all().into_iter().find(|entry| entry.name == name).expect("the experiment exists");
     entry.run(&settings).expect("the settings are possible").1

@@ -13,7 +13,7 @@ use armarium_visionx::providers::StereoView;
 
 use crate::agent_config::AgentConfig;
 use crate::catalog::{self, SkillFactory};
-use crate::console::Clock;
+use crate::console::WorldClock;
 use crate::remote_eyes::RemoteEyes;
 use crate::simulated::StagedRobot;
 
@@ -21,7 +21,7 @@ use crate::simulated::StagedRobot;
 pub(crate) struct Backend {
     pub(crate) equipment: Equipment,
     pub(crate) registry: Registry,
-    pub(crate) clock: Clock,
+    pub(crate) clock: WorldClock,
     /// Runs until the agent ends, or until the sensors end.
     pub(crate) task: Pin<Box<dyn Future<Output = ()> + Send>>,
     /// Whether it has the inputs of the observers.

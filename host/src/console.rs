@@ -4,10 +4,10 @@
 use std::sync::Arc;
 
 use armarium_source::Finding;
-use armarium_viewer::progress::Status;
+use armarium_viewer::progress::ProgressLine;
 
 /// Returns the time of the robot's world, ns.
-pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
+pub type WorldClock = Arc<dyn Fn() -> u64 + Send + Sync>;
 
 /// The output of a run or an agent for people. Every call must return at once.
 pub trait Console: Send + Sync {
@@ -27,12 +27,12 @@ pub trait Console: Send + Sync {
     }
 
     /// The progress.
-    fn progress(&self, status: &Status) {
+    fn progress(&self, status: &ProgressLine) {
         let _ = status;
     }
 
     /// The end of the run.
-    fn finished(&self, status: &Status) {
+    fn finished(&self, status: &ProgressLine) {
         let _ = status;
     }
 
@@ -47,7 +47,7 @@ pub trait Console: Send + Sync {
     }
 
     /// From now on there is a world with this clock.
-    fn world_begins(&self, clock: Clock) {
+    fn world_begins(&self, clock: WorldClock) {
         let _ = clock;
     }
 }

@@ -33,7 +33,7 @@ pub(crate) enum Outside {
 /// What brings the samples of such a robot.
 pub(crate) enum Mover {
     Driver(Box<GuardedDriver>),
-    Guard(newest::Receiver<Arc<Sensed>>),
+    Guard(newest::NewestReceiver<Arc<Sensed>>),
 }
 
 impl Outside {

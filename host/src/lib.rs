@@ -4,6 +4,7 @@
 //! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
 //! - [`image_findings`]: what a processor of images found, for people and for a memory.
+//! - [`image_coding`]: images in a memory as JPEG files.
 //! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.
 //! - [`mod@sweep`]: many runs of a chart, and how many hold. [`mod@bench`]: one skill under test, in a few lines.
 //! - [`Console`]: the output for people.
@@ -24,6 +25,7 @@ mod console;
 mod driven;
 mod error;
 mod frame_sampler;
+pub mod image_coding;
 pub mod image_findings;
 mod memory_log;
 mod names;
@@ -49,7 +51,7 @@ pub use agent::run_agent;
 pub use agent_config::AgentConfig;
 pub use catalog::SkillFactory;
 pub use connection::Connection;
-pub use console::{Clock, Console, Silent};
+pub use console::{Console, Silent, WorldClock};
 pub use driven::RobotAt;
 pub use error::HostError;
 pub use robot_service::RobotService;

@@ -10,7 +10,7 @@ use armarium_bus::codec;
 use armarium_robot::{Model, Robot};
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
-use armarium_viewer::recorder::{Contact, Recorder, RecorderError, WrenchSample};
+use armarium_viewer::recorder::{Recorder, RecorderError, TrueContact, WrenchSample};
 use nalgebra::Isometry3;
 use parking_lot::Mutex;
 use serde::Serialize;
@@ -125,8 +125,10 @@ impl TruthSink for TruthTopics {
                 let coach: Isometry3<f64> = coach;
                 recorder.pose("/truth/coach", t, &coach);
             }
-            let contact =
-                Contact { normal_n: sample.contact.normal, tangential_n: sample.contact.tangential.norm() };
+            let contact = TrueContact {
+                normal_n: sample.contact.normal,
+                tangential_n: sample.contact.tangential.norm(),
+            };
             recorder.contact(t, &contact)
         });
     }

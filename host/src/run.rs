@@ -14,7 +14,7 @@ use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::report::Figure;
-use armarium_viewer::progress::Status;
+use armarium_viewer::progress::ProgressLine;
 use armarium_viewer::recorder::Recorder;
 use armarium_visionx::ImageSource;
 use parking_lot::Mutex;
@@ -355,7 +355,7 @@ impl Stage {
     ) -> Result<RunEnded, HostError> {
         let simulated_s = self.robot.handle.now_ns() as f64 * 1e-9;
         let log = log.lock();
-        console.finished(&Status {
+        console.finished(&ProgressLine {
             simulated_s,
             wall_s: began.elapsed().as_secs_f64(),
             states: vec![result.outcome.clone()],

@@ -188,7 +188,7 @@ impl RunLogger {
         let Some(marks) = self.marks.get(&running.skill) else { return };
         for mark in marks.iter().filter(|mark| mark.at == *at) {
             let numbers = mark.numbers_of(&running.inputs, outputs);
-            if let Some(known) = armarium_simulator::Mark::named(&mark.name, &numbers) {
+            if let Some(known) = armarium_simulator::Milestone::named(&mark.name, &numbers) {
                 self.referee.mark(known, t_ns);
             }
             let written = serde_json::json!({"mark": mark.name, "numbers": numbers});

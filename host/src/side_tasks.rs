@@ -9,7 +9,7 @@ use armarium_memoryx::Memory;
 use armarium_runtime::exec::Controller;
 use armarium_states::Equipment;
 use armarium_values::Value;
-use armarium_viewer::progress::Status;
+use armarium_viewer::progress::ProgressLine;
 use parking_lot::Mutex;
 
 use crate::console::Console;
@@ -67,7 +67,7 @@ pub(crate) async fn show_progress(
     loop {
         tick.tick().await;
         let sample = Arc::clone(&robot.sensed().borrow());
-        console.progress(&Status {
+        console.progress(&ProgressLine {
             simulated_s: sample.stamp_ns as f64 * 1e-9,
             wall_s: began.elapsed().as_secs_f64(),
             states: log.lock().status.lines(),

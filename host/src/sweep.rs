@@ -41,7 +41,7 @@ pub struct SweepConfig {
 
 /// A run that has ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Run {
+pub struct SweptRun {
     /// Its seed.
     pub seed: u64,
     /// The inputs that vary.
@@ -56,7 +56,7 @@ pub struct Run {
     pub folder: PathBuf,
 }
 
-impl Run {
+impl SweptRun {
     /// Whether it succeeded and every figure is as required.
     #[must_use]
     pub fn held(&self) -> bool {
@@ -105,7 +105,7 @@ impl Rate {
 /// A sweep while it runs.
 struct Progress {
     waiting: std::vec::IntoIter<Choice>,
-    runs: Vec<Run>,
+    runs: Vec<SweptRun>,
     log: File,
     /// Why runs cannot be written down any more.
     failed: Option<std::io::Error>,
@@ -119,14 +119,14 @@ struct Progress {
 pub fn sweep(
     config: &SweepConfig,
     (program, folder, jobs): (&Path, &Path, usize),
-    ended: &(dyn Fn(&Run, usize, usize) + Sync),
-) -> Result<Vec<Run>, HostError> {
+    ended: &(dyn Fn(&SweptRun, usize, usize) + Sync),
+) -> Result<Vec<SweptRun>, HostError> {
     std::fs::create_dir_all(folder).map_err(|source| file_error(folder, source))?;
     let known = runs_of(folder, config)?;
     let choices = choices(config);
     let path = folder.join(RUNS);
     let log = OpenOptions::new().append(true).open(&path).map_err(|e| file_error(&path, e))?;
-    let find = |runs: &[Run], (seed, inputs): &Choice| {
+    let find = |runs: &[SweptRun], (seed, inputs): &Choice| {
         runs.iter().find(|run| run.seed == *seed && run.inputs == *inputs).cloned()
     };
     let waiting: Vec<_> = choices.iter().filter(|choice| find(&known, choice).is_none()).cloned().collect();
@@ -189,7 +189,7 @@ fn choices(config: &SweepConfig) -> Vec<Choice> {
 }
 
 /// The runs that a folder holds; begins its file where there is none. A last line that was cut by a crash does not count.
-fn runs_of(folder: &Path, config: &SweepConfig) -> Result<Vec<Run>, HostError> {
+fn runs_of(folder: &Path, config: &SweepConfig) -> Result<Vec<SweptRun>, HostError> {
     let path = folder.join(RUNS);
     // Seeds and values may be added to a sweep; what all runs share may not change.
     let files: BTreeMap<String, String> = files(config).collect();
@@ -225,7 +225,7 @@ fn files(config: &SweepConfig) -> impl Iterator<Item = (String, String)> {
 }
 
 /// One run, in a process of its own.
-fn one(config: &SweepConfig, (program, folder): (&Path, &Path), (seed, inputs): Choice) -> Run {
+fn one(config: &SweepConfig, (program, folder): (&Path, &Path), (seed, inputs): Choice) -> SweptRun {
     let inside = folder_of(seed, &inputs);
     let report = folder.join(&inside);
     // Runs at the same time do not share what they learn, and one that is run again begins anew.
@@ -242,7 +242,7 @@ fn one(config: &SweepConfig, (program, folder): (&Path, &Path), (seed, inputs): 
         Ok(child) => wait_for(child),
         Err(error) => Ended::error(format!("`{}` cannot be started: {error}", program.display())),
     };
-    Run { seed, inputs, outcome, reason, figures, folder: inside }
+    SweptRun { seed, inputs, outcome, reason, figures, folder: inside }
 }
 
 /// The name of the folder of a run's report.
@@ -293,8 +293,8 @@ fn wait_for(mut child: Child) -> Ended {
 
 /// The runs by their inputs.
 #[must_use]
-pub fn groups(runs: &[Run]) -> Vec<(String, Vec<&Run>)> {
-    let mut groups: Vec<(String, Vec<&Run>)> = Vec::new();
+pub fn groups(runs: &[SweptRun]) -> Vec<(String, Vec<&SweptRun>)> {
+    let mut groups: Vec<(String, Vec<&SweptRun>)> = Vec::new();
     for run in runs {
         let name =
             run.inputs.iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join(" ");
@@ -308,7 +308,7 @@ pub fn groups(runs: &[Run]) -> Vec<(String, Vec<&Run>)> {
 
 /// The rate of some runs.
 #[must_use]
-pub fn rate(runs: &[&Run]) -> Rate {
+pub fn rate(runs: &[&SweptRun]) -> Rate {
     Rate::of(runs.iter().filter(|run| run.held()).count(), runs.len())
 }
 
@@ -316,8 +316,8 @@ pub fn rate(runs: &[&Run]) -> Rate {
 ///
 /// # Errors
 /// [`HostError::File`].
-pub fn write_page(config: &SweepConfig, runs: &[Run], folder: &Path) -> Result<PathBuf, HostError> {
-    let all: Vec<&Run> = runs.iter().collect();
+pub fn write_page(config: &SweepConfig, runs: &[SweptRun], folder: &Path) -> Result<PathBuf, HostError> {
+    let all: Vec<&SweptRun> = runs.iter().collect();
     let Rate { held, runs: count, interval } = rate(&all);
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let text = |text: &str| Column { title: text.into(), is_number: false };
@@ -397,7 +397,7 @@ pub fn write_page(config: &SweepConfig, runs: &[Run], folder: &Path) -> Result<P
 }
 
 /// Least, median and greatest value of each figure, and how often it is as required.
-fn spread(runs: &[&Run]) -> Vec<Vec<Cell>> {
+fn spread(runs: &[&SweptRun]) -> Vec<Vec<Cell>> {
     let mut figures: Vec<(&Figure, Vec<f64>, usize, usize)> = Vec::new();
     for figure in runs.iter().flat_map(|run| &run.figures) {
         let known = figures.iter_mut().find(|(f, ..)| (&f.group, &f.name) == (&figure.group, &figure.name));
@@ -469,7 +469,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let config = config();
         assert!(runs_of(folder.path(), &config).expect("it is new").is_empty());
-        let run = Run {
+        let run = SweptRun {
             seed: 1,
             inputs: BTreeMap::new(),
             outcome: "failure".into(),

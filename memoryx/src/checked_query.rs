@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::filter::Filter;
-use crate::place::{Region, distance, place_of};
+use crate::place::{SpatialRegion, distance, place_of};
 use crate::query::{Query, Times};
 
 /// Limits of a nearest-first selection: after so many snapshots, or bytes of them, only the nearest are kept.
@@ -27,7 +27,7 @@ impl Query {
     /// # Errors
     /// [`MemoryError::Query`] when its filter or region is invalid.
     pub fn check(&self) -> Result<CheckedQuery<'_>, MemoryError> {
-        self.region.as_ref().map_or(Ok(()), Region::check)?;
+        self.region.as_ref().map_or(Ok(()), SpatialRegion::check)?;
         let filter = self.filter.as_deref().map(Filter::compile).transpose()?;
         Ok(CheckedQuery { query: self, filter })
     }
@@ -101,7 +101,7 @@ impl CheckedQuery<'_> {
 
     /// Completes the answer: sorts the nearest by distance and applies the bounds. `found`: in order of address.
     pub fn finish(&self, mut found: Vec<Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
-        if let Some(Region::Nearest { to, count, .. }) = &self.query.region {
+        if let Some(SpatialRegion::Nearest { to, count, .. }) = &self.query.region {
             let far = |s: &Snapshot| place_of(s).map_or(f64::INFINITY, |(_, place)| distance(to, &place));
             let mut placed: Vec<(f64, Arc<Snapshot>)> = found.into_iter().map(|s| (far(&s), s)).collect();
             // The sort is stable: equal distances keep the order of addresses.

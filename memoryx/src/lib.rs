@@ -48,7 +48,7 @@ pub use follow::{Change, Follower, LastSeen};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};
-pub use place::{Region, distance, place_of};
+pub use place::{SpatialRegion, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;

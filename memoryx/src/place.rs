@@ -9,7 +9,7 @@ use crate::error::MemoryError;
 /// A region of space, in one frame. It contains no entity whose position is known in another frame only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Region {
+pub enum SpatialRegion {
     /// A box along the frame's axes, faces included.
     Box {
         /// The frame of the corners.
@@ -55,7 +55,7 @@ pub fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-impl Region {
+impl SpatialRegion {
     /// The region's frame.
     pub fn frame(&self) -> &Frame {
         match self {
@@ -63,7 +63,7 @@ impl Region {
         }
     }
 
-    /// Whether a snapshot's position is in the region; for [`Region::Nearest`], whether it has a position in the
+    /// Whether a snapshot's position is in the region; for [`SpatialRegion::Nearest`], whether it has a position in the
     /// frame.
     pub fn holds(&self, snapshot: &Snapshot) -> bool {
         let Some((frame, position)) = place_of(snapshot) else { return false };

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::entity::{EntityId, Snapshot};
-use crate::place::Region;
+use crate::place::SpatialRegion;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or `None` for any.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ pub struct Query {
     /// Only snapshots for which a CEL expression is true; see [`Filter`](crate::Filter).
     pub filter: Option<String>,
     /// Only snapshots in this region.
-    pub region: Option<Region>,
+    pub region: Option<SpatialRegion>,
     /// At most this many snapshots of each entity, the newest versions.
     pub limit: Option<usize>,
     /// Only snapshots after this position in the answer.
@@ -171,7 +171,7 @@ impl Query {
 
     /// The same query, for snapshots in a region.
     #[must_use]
-    pub fn region(mut self, region: Region) -> Self {
+    pub fn region(mut self, region: SpatialRegion) -> Self {
         self.region = Some(region);
         self
     }
@@ -185,7 +185,7 @@ impl Query {
 
     /// Whether it asks for the nearest entities; its answer is ordered by distance.
     pub fn is_nearest(&self) -> bool {
-        matches!(self.region, Some(Region::Nearest { .. }))
+        matches!(self.region, Some(SpatialRegion::Nearest { .. }))
     }
 
     /// Whether an answer has reached the query's bounds, so that there may be more: a query with [`Self::after`] its
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn questions_that_are_none_are_refused() {
-        let region = |radius: f64| Region::Within { frame: "root".into(), of: [0.0; 3], radius };
+        let region = |radius: f64| SpatialRegion::Within { frame: "root".into(), of: [0.0; 3], radius };
         for bad in [
             Query::default().filter("1 +"),
             Query::default().region(region(f64::NAN)),

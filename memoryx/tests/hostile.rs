@@ -12,7 +12,7 @@ use armarium_bus::{Key, Session, SessionConfig, encode, keys};
 use armarium_memoryx::wire::{CommitRequest, Maintain};
 use armarium_memoryx::{
     Commit, EntityId, LongTermMemory, Memory, MemoryError, MemoryLimits, MemoryServer, Pattern, Query,
-    Region, RemoteMemory, ServerOptions, Times, WorkingMemory,
+    RemoteMemory, ServerOptions, SpatialRegion, Times, WorkingMemory,
 };
 use armarium_values::{Frame, Value, Vector};
 use parking_lot::Mutex;
@@ -90,7 +90,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
     let place = Vector { frame: Frame::root(), components: [0.1, 0.2, 0.3] };
     full.instances[0] = full.instances[0].clone().with_covariance("position", vec![1.0; 9]);
     full.instances[0].attributes = full.instances[0].attributes.with("position", place.into());
-    let region = Region::Nearest { frame: Frame::root(), to: [0.0; 3], count: 3 };
+    let region = SpatialRegion::Nearest { frame: Frame::root(), to: [0.0; 3], count: 3 };
     let query =
         Query::history(Pattern::segment("Things")).region(region).filter("class == 'cup'").with_long_term();
     let index = Query::latest(Pattern::any()).times(Times::Index(-3, -1)).limit(2);

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
 
 use armarium_motion::{
-    AdaptiveOscillator, Coach, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig,
+    AdaptiveOscillator, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
     DiscretePeriodicConfig, DiscretePeriodicDmp, FrictionConfig, FrictionModel, LearningControl,
     LearningControlConfig, OscillatorConfig, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo,
     PotentialField, ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, joint_coupling,
@@ -64,7 +64,7 @@ fn learn_batch_of_1000_7_dofs(bencher: Bencher) {
 #[divan::bench]
 fn coach_attracts(bencher: Bencher) {
     let mut dmp = learned(3);
-    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
     let input = CoachInput::Attract { hand: Vector3::new(1.1, 1.0, 1.0) };
     bencher.bench_local(|| coach.step(&mut dmp, 0.001, 3.0, input));
 }

@@ -1,7 +1,7 @@
 //! The coaching field of the paper: converts a gesture in space to a coupling term (eqs. 14-16), and the two-handed
 //! gesture interface of its second experiment (eqs. 18-21).
 //!
-//! Pure functions of positions. [`crate::Coach`] applies the coupling to the wiping motion; other callers use
+//! Pure functions of positions. [`crate::CoachedMotion`] applies the coupling to the wiping motion; other callers use
 //! [`crate::PeriodicDmp::couple`] (in joint space after a Jacobian pseudoinverse, eq. 17).
 
 use std::f64::consts::FRAC_PI_2;

@@ -6,7 +6,7 @@
 //!
 //! Where to start reading: `dmp/mod.rs` is the core that all primitives share, and [`PeriodicDmp`] is the primitive
 //! that is executed. [`AdaptiveOscillator`] finds the frequency of a demonstration, [`Imitation`] combines the two,
-//! [`Coach`] changes a running motion, [`SurfaceAdaptation`] learns the motion that keeps a force, and [`Motion`]
+//! [`CoachedMotion`] changes a running motion, [`SurfaceAdaptation`] learns the motion that keeps a force, and [`Motion`]
 //! is the stored form. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
 //! orientations.
 //!
@@ -44,7 +44,7 @@ mod surface_correction;
 mod synchronisation;
 mod touchdown;
 
-pub use coach::{Coach, CoachConfig, CoachInput, CoachReport, HandField};
+pub use coach::{CoachConfig, CoachInput, CoachReport, CoachedMotion, HandField};
 pub use contact_frame::ContactFrame;
 pub use coupling::{ObstacleAvoidance, joint_coupling};
 pub use discrete::{DiscreteDmp, DiscreteDmpConfig, DiscreteState};

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use armarium_motion::{
-    AdaptiveOscillator, Coach, CoachArm, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig,
+    AdaptiveOscillator, CoachArm, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
     DiscreteOrientationDmp, DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, FrictionConfig,
     FrictionModel, LearningControl, LearningControlConfig, MotionEdit, ObstacleAvoidance, OscillatorConfig,
     PeriodicDmp, PeriodicDmpConfig, PeriodicOrientationDmp, PositionServo, PotentialField, ServoConfig,
@@ -33,7 +33,7 @@ fn steps_do_not_allocate() {
     assert_eq!(n, 0, "primitive");
 
     let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
-    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
     let mut k = 0;
     let n = allocations(|| {
         let hand = Vector3::new(0.1, 0.0, 0.0);

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use armarium_motion::{
-    AdaptiveOscillator, Coach, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig,
+    AdaptiveOscillator, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
     DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl, LearningControlConfig, MotionError,
     OscillatorConfig, OscillatorRule, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo,
     ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, Synchronisation, SynchronisationConfig,
@@ -106,7 +106,7 @@ proptest! {
         inputs in prop::collection::vec((numbers(5), 0..4_usize), 1..40)
     ) {
         let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
-        let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+        let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
         for (n, kind) in inputs {
             let v = Vector3::new(n[0], n[1], n[2]);
             let input = match kind {

@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{
-    AdaptiveOscillator, Coach, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig,
+    AdaptiveOscillator, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
     DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
     OscillatorConfig, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo, PotentialField,
     ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, TimeSample, differentiate,
@@ -174,7 +174,7 @@ fn the_oscillator_hears_size_and_beginning_of_a_signal_no_more_than_it_should() 
 fn a_gesture_moves_the_path_by_the_same_at_every_pace_and_nothing_jumps() {
     let moved = |omega: f64, dt: f64| {
         let mut dmp = circle(0.1);
-        let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+        let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
         let before = dmp.steady_path(64).unwrap();
         dmp.start_on_path(0.0, omega).unwrap();
         let mut last = dmp.state().y.to_vec();

@@ -20,14 +20,14 @@ pub struct Sensed {
 
 /// A force and a torque.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wrench {
+pub struct ForceTorque {
     /// Force, N.
     pub force: Vector3<f64>,
     /// Torque, N m.
     pub torque: Vector3<f64>,
 }
 
-impl Wrench {
+impl ForceTorque {
     pub(crate) fn map(self, mut f: impl FnMut(Vector3<f64>) -> Vector3<f64>) -> Self {
         Self { force: f(self.force), torque: f(self.torque) }
     }
@@ -50,10 +50,10 @@ impl Wrench {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SensedWrench {
     /// What the hand exerts on the sensor, as the sensor gives it: sensor's frame, about the sensor's origin.
-    pub raw: Wrench,
+    pub raw: ForceTorque,
     /// What the environment exerts on the hand: compensated for bias, weight and inertia of hand and load; root
     /// frame, about the TCP.
-    pub external: Wrench,
+    pub external: ForceTorque,
 }
 
 /// What a hand holds.

@@ -80,7 +80,7 @@ struct Probe<'a> {
     robot: &'a Arc<dyn Robot>,
     limb: &'a str,
     joints: Vec<usize>,
-    sensed: newest::Receiver<Arc<Sensed>>,
+    sensed: newest::NewestReceiver<Arc<Sensed>>,
     /// The rule that is being checked.
     rule: &'static str,
 }

@@ -34,7 +34,7 @@ mod pose_ik;
 mod seam;
 mod wrist;
 
-pub use boundary::{Fault, LeaseError, LeaseLimits, Load, LoadShape, Sensed, SensedWrench, Wrench};
+pub use boundary::{Fault, ForceTorque, LeaseError, LeaseLimits, Load, LoadShape, Sensed, SensedWrench};
 pub use dummy::{DummyRobot, ServoDriver, ServoJoints};
 pub use error::RobotError;
 pub use gaze::Gaze;

@@ -30,7 +30,7 @@ pub struct Sender<T> {
 
 /// Reads the newest value; clones read the same value.
 #[derive(Debug)]
-pub struct Receiver<T> {
+pub struct NewestReceiver<T> {
     shared: Arc<Channel<T>>,
     seen: u64,
 }
@@ -67,9 +67,9 @@ impl<T: Clone> Sender<T> {
     }
 
     /// A receiver that counts the present value as seen.
-    pub fn subscribe(&self) -> Receiver<T> {
+    pub fn subscribe(&self) -> NewestReceiver<T> {
         let seen = self.shared.state.lock().version;
-        Receiver { shared: Arc::clone(&self.shared), seen }
+        NewestReceiver { shared: Arc::clone(&self.shared), seen }
     }
 }
 
@@ -86,13 +86,13 @@ impl<T> Channel<T> {
     }
 }
 
-impl<T> Clone for Receiver<T> {
+impl<T> Clone for NewestReceiver<T> {
     fn clone(&self) -> Self {
         Self { shared: Arc::clone(&self.shared), seen: self.seen }
     }
 }
 
-impl<T: Clone> Receiver<T> {
+impl<T: Clone> NewestReceiver<T> {
     /// The present value, without marking it as seen.
     pub fn borrow(&self) -> T {
         self.shared.state.lock().value.clone()

@@ -18,7 +18,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::model::GRAVITY;
-use crate::{Kinematics, LinkId, Load, Model, Twist, Wrench};
+use crate::{ForceTorque, Kinematics, LinkId, Load, Model, Twist};
 
 /// Frequency of each of the two poles of the low-pass, Hz.
 const POLE_HZ: f64 = 60.0;
@@ -27,7 +27,7 @@ const TARE_SAMPLES: usize = 100;
 
 /// The mass of a grasped object, kg, from the compensated wrist force before and after the grasp, in the same
 /// posture and at rest, while the load is not yet set (see [`Robot::set_load`](crate::Robot::set_load)).
-pub fn load_mass(before: &Wrench, after: &Wrench) -> f64 {
+pub fn load_mass(before: &ForceTorque, after: &ForceTorque) -> f64 {
     (after.force - before.force).dot(&GRAVITY) / GRAVITY.norm_squared()
 }
 
@@ -90,11 +90,11 @@ impl LoadedHand {
         force: &Vector3<f64>,
         angular: &Vector3<f64>,
         acceleration: &Twist,
-    ) -> Wrench {
+    ) -> ForceTorque {
         let sensor = kinematics.pose(self.sensor);
         let arm = kinematics.pose(self.tcp).translation.vector - sensor.translation.vector;
         let load = inertial_load(&self.body(kinematics), angular, acceleration);
-        let on_sensor = Wrench { force: *force, torque: arm.cross(force) }.minus(load);
+        let on_sensor = ForceTorque { force: *force, torque: arm.cross(force) }.minus(load);
         on_sensor.map(|v| sensor.rotation.inverse() * v)
     }
 }
@@ -105,11 +105,11 @@ fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// `m (a_c - g)`, and its torque about the sensor's origin.
-fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> Wrench {
+fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> ForceTorque {
     let (w, al, c) = (angular, &acceleration.angular, &body.center);
     let at_center = acceleration.linear + al.cross(c) + w.cross(&w.cross(c));
     let force = body.mass * (at_center - GRAVITY);
-    Wrench { force, torque: c.cross(&force) + body.inertia * al + w.cross(&(body.inertia * w)) }
+    ForceTorque { force, torque: c.cross(&force) + body.inertia * al + w.cross(&(body.inertia * w)) }
 }
 
 /// Compensates one sensor; stepped with each sample. Allocates only in [`new`](Self::new).
@@ -118,11 +118,11 @@ pub(crate) struct WristEstimator {
     hand: LoadedHand,
     previous: Option<Twist>,
     /// In the sensor's frame.
-    bias: Wrench,
-    recent: Vec<Wrench>,
+    bias: ForceTorque,
+    recent: Vec<ForceTorque>,
     next: usize,
     /// The two poles of the low-pass, root frame; `None` before the first sample.
-    poles: Option<[Wrench; 2]>,
+    poles: Option<[ForceTorque; 2]>,
 }
 
 impl WristEstimator {
@@ -130,7 +130,7 @@ impl WristEstimator {
         Self {
             hand: LoadedHand::new(model, sensor, tcp),
             previous: None,
-            bias: Wrench::default(),
+            bias: ForceTorque::default(),
             recent: Vec::with_capacity(TARE_SAMPLES),
             next: 0,
             poles: None,
@@ -143,9 +143,9 @@ impl WristEstimator {
         &mut self,
         kinematics: &Kinematics,
         velocity: &[f64],
-        raw: Wrench,
+        raw: ForceTorque,
         dt: f64,
-    ) -> Wrench {
+    ) -> ForceTorque {
         let pose = kinematics.pose(self.hand.sensor);
         let now = kinematics.twist(self.hand.sensor, &Point3::origin(), velocity);
         let before = self.previous.replace(now).unwrap_or(now);
@@ -160,12 +160,12 @@ impl WristEstimator {
         poles[0].toward(in_root, share);
         let first = poles[0];
         poles[1].toward(first, share);
-        let Wrench { force, torque } = poles[1];
+        let ForceTorque { force, torque } = poles[1];
         let arm = kinematics.pose(self.hand.tcp).translation.vector - pose.translation.vector;
-        Wrench { force, torque: torque - arm.cross(&force) }
+        ForceTorque { force, torque: torque - arm.cross(&force) }
     }
 
-    fn remember(&mut self, sample: Wrench) {
+    fn remember(&mut self, sample: ForceTorque) {
         if self.recent.len() < TARE_SAMPLES {
             self.recent.push(sample);
         } else {
@@ -181,7 +181,7 @@ impl WristEstimator {
         }
         #[expect(clippy::cast_precision_loss, reason = "at most 100")]
         let n = self.recent.len() as f64;
-        let mut mean = Wrench::default();
+        let mut mean = ForceTorque::default();
         for sample in &self.recent {
             mean.force += sample.force / n;
             mean.torque += sample.torque / n;

@@ -15,7 +15,7 @@ use tokio::time::Instant;
 
 /// One published value and when it was published, in the executor's (virtual) time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sample {
+pub struct ChannelSample {
     /// The value; usually a map of named fields.
     pub value: Value,
     /// When it was published.
@@ -24,7 +24,7 @@ pub struct Sample {
 
 #[derive(Debug)]
 struct Channel {
-    newest: watch::Sender<Option<Sample>>,
+    newest: watch::Sender<Option<ChannelSample>>,
     wanted: watch::Sender<usize>,
 }
 
@@ -61,12 +61,12 @@ impl Channels {
 
     /// Publishes a value now; it replaces the previous one.
     pub fn publish(&self, name: &str, value: Value) {
-        let sample = Sample { value, at: Instant::now() };
+        let sample = ChannelSample { value, at: Instant::now() };
         self.channel(name).newest.send_replace(Some(sample));
     }
 
     /// The newest sample, if any.
-    pub fn newest(&self, name: &str) -> Option<Sample> {
+    pub fn newest(&self, name: &str) -> Option<ChannelSample> {
         self.channel(name).newest.borrow().clone()
     }
 
@@ -87,7 +87,7 @@ impl Channels {
     }
 
     /// A receiver that wakes at each new sample.
-    pub fn subscribe(&self, name: &str) -> watch::Receiver<Option<Sample>> {
+    pub fn subscribe(&self, name: &str) -> watch::Receiver<Option<ChannelSample>> {
         self.channel(name).newest.subscribe()
     }
 

@@ -10,16 +10,16 @@ use std::time::Instant;
 
 use armarium_robot::{Kinematics, Mesh, Model};
 use armarium_simulator::render::robot::robot_shapes;
-use armarium_simulator::render::{Bump, DirtTexture, Geometry, Scene, Shape, Viewpoint, render};
+use armarium_simulator::render::{Bump, DirtTexture, Shape, Viewpoint, VisibleForm, VisibleScene, render};
 use armarium_visionx::PinholeCamera;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 fn main() {
     let camera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [320.0, 240.0] };
     let eye = Viewpoint::look_at(camera, Vector3::new(0.0, -0.1, 1.6), Vector3::new(0.25, 0.6, 0.95));
-    let mut kitchen = Scene::new(robot());
+    let mut kitchen = VisibleScene::new(robot());
     kitchen.shapes.extend([table(), thing(0.35, 0.5), thing(0.1, 0.7)]);
-    let pictures = |scene: &Scene, count: u32| {
+    let pictures = |scene: &VisibleScene, count: u32| {
         let start = Instant::now();
         (0..count).for_each(|_| drop(black_box(render(black_box(scene), &eye))));
         f64::from(count) / start.elapsed().as_secs_f64()
@@ -43,7 +43,7 @@ fn table() -> Shape {
         *cell = if at % 7 < 3 { 120 } else { 0 };
     }
     Shape {
-        geometry: Geometry::Tabletop {
+        geometry: VisibleForm::Tabletop {
             half: Vector3::new(0.5, 0.35, 0.02),
             bumps: [bump].into(),
             dirt: Some(Arc::new(dirt)),
@@ -55,7 +55,7 @@ fn table() -> Shape {
 
 fn thing(x: f64, y: f64) -> Shape {
     Shape {
-        geometry: Geometry::Box { half: Vector3::new(0.05, 0.035, 0.02) },
+        geometry: VisibleForm::Box { half: Vector3::new(0.05, 0.035, 0.02) },
         scene_from_shape: Isometry3::translation(x, y, 0.97),
         color: [240, 210, 40],
     }
@@ -81,7 +81,7 @@ fn ball(triangles: u32) -> Shape {
     });
     let mesh = Mesh::new(vertices, faces.collect()).expect("the ball is a surface");
     Shape {
-        geometry: Geometry::Mesh { mesh: Arc::new(mesh) },
+        geometry: VisibleForm::Mesh { mesh: Arc::new(mesh) },
         scene_from_shape: Isometry3::translation(0.2, 0.45, 1.15),
         color: [90, 120, 200],
     }

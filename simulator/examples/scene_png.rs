@@ -13,7 +13,7 @@ use armarium_robot::{Kinematics, Model};
 use armarium_simulator::render::hand::{HandPose, hand_shapes};
 use armarium_simulator::render::robot::robot_shapes;
 use armarium_simulator::render::{
-    Bump, DirtTexture, Geometry, Scene, SensorNoise, Shape, Viewpoint, render, render_pair,
+    Bump, DirtTexture, SensorNoise, Shape, Viewpoint, VisibleForm, VisibleScene, render, render_pair,
 };
 use armarium_visionx::{Gesture, PinholeCamera, annotate};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -33,7 +33,7 @@ fn main() -> std::io::Result<()> {
 
     let scene = |gesture| {
         let shapes = [table(), robot_shapes(&robot, &Isometry3::identity()), hand(gesture)];
-        Scene::new(shapes.concat())
+        VisibleScene::new(shapes.concat())
     };
     for (number, gesture) in Gesture::ALL.into_iter().enumerate() {
         let scene = scene(gesture);
@@ -83,19 +83,19 @@ fn table() -> Vec<Shape> {
     let yaw = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.35);
     let mut shapes = vec![
         Shape {
-            geometry: Geometry::Tabletop { half, bumps, dirt: Some(Arc::new(dirt)) },
+            geometry: VisibleForm::Tabletop { half, bumps, dirt: Some(Arc::new(dirt)) },
             scene_from_shape: pose(0.25, 0.60, 0.935, tilt),
             color: [150, 115, 80],
         },
         Shape {
-            geometry: Geometry::Box { half: Vector3::new(0.05, 0.035, 0.02) },
+            geometry: VisibleForm::Box { half: Vector3::new(0.05, 0.035, 0.02) },
             scene_from_shape: pose(0.38, 0.47, 0.973, tilt * yaw),
             color: [240, 210, 40],
         },
     ];
     for [x, y] in [[-0.2, 0.3], [0.7, 0.3], [-0.2, 0.9], [0.7, 0.9]] {
         shapes.push(Shape {
-            geometry: Geometry::Cylinder { radius: 0.025, half_length: 0.46 },
+            geometry: VisibleForm::Cylinder { radius: 0.025, half_length: 0.46 },
             scene_from_shape: pose(x, y, 0.46, UnitQuaternion::identity()),
             color: [96, 98, 104],
         });

@@ -35,7 +35,7 @@ pub struct ElasticFoundation {
 /// The motion of an object: pose of its frame (its middle), velocity of its middle, m/s, and angular velocity,
 /// rad/s, root frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Motion {
+pub struct RigidMotion {
     /// Pose of the object.
     pub root_from_object: Isometry3<f64>,
     /// Velocity of its middle, m/s.
@@ -94,7 +94,7 @@ impl ElasticFoundation {
     }
 
     /// Advances the bristles by `dt` s and returns the table's reaction on the object.
-    pub fn step(&mut self, table: &TableTop, motion: &Motion, dt: f64) -> FoundationReaction {
+    pub fn step(&mut self, table: &TableTop, motion: &RigidMotion, dt: f64) -> FoundationReaction {
         let mut total = FoundationReaction::default();
         if !self.is_near(table, &motion.root_from_object) {
             self.bristles.fill(None);
@@ -203,9 +203,9 @@ mod tests {
         TableTop::new(&TableSpec { tilt_deg: [0.0; 2], bumps: vec![], friction, ..TableSpec::default() })
     }
 
-    fn pressed(depth: f64, linear: Vector3<f64>) -> Motion {
+    fn pressed(depth: f64, linear: Vector3<f64>) -> RigidMotion {
         let root_from_object = Isometry3::translation(0.3, 0.5, 0.95 + 0.02 - depth);
-        Motion { root_from_object, linear, angular: Vector3::zeros() }
+        RigidMotion { root_from_object, linear, angular: Vector3::zeros() }
     }
 
     #[test]
@@ -261,7 +261,7 @@ mod tests {
             let (mut position, mut velocity) = (start.coords, Vector3::zeros());
             let rotation = table.root_from_top().rotation;
             for _ in 0..300 {
-                let motion = Motion {
+                let motion = RigidMotion {
                     root_from_object: Isometry3::from_parts(position.into(), rotation),
                     linear: velocity,
                     angular: Vector3::zeros(),

@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use armarium_robot::{JointKind, Limb, Model, Sample, Wrench};
+use armarium_robot::{ForceTorque, JointKind, Limb, Model, Sample};
 
 use crate::world::{Faults, NoiseSpec, WrenchFault};
 
@@ -40,7 +40,7 @@ struct WrenchSensor {
     bias: [f64; 6],
     drift: Drift,
     rng: ChaCha8Rng,
-    frozen: Option<Wrench>,
+    frozen: Option<ForceTorque>,
 }
 
 impl Sensors {
@@ -69,7 +69,7 @@ impl Sensors {
         t: f64,
         position: &[f64],
         velocity: &[f64],
-        wrenches: impl Iterator<Item = Wrench>,
+        wrenches: impl Iterator<Item = ForceTorque>,
         sample: &mut Sample,
     ) {
         for j in 0..position.len() {
@@ -104,13 +104,13 @@ impl WrenchSensor {
         Self { bias, drift, rng, frozen: None }
     }
 
-    fn sense(&mut self, t: f64, truth: &Wrench, sigma: f64) -> Wrench {
+    fn sense(&mut self, t: f64, truth: &ForceTorque, sigma: f64) -> ForceTorque {
         let sigma = sigma.max(LEAST_NOISE);
         let drift = self.drift.at(t, &mut self.rng);
         let offset: [f64; 6] = std::array::from_fn(|axis| {
             self.bias[axis] + drift[axis] + sigma * share(axis) * self.rng.sample::<f64, _>(StandardNormal)
         });
-        Wrench {
+        ForceTorque {
             force: truth.force + Vector3::new(offset[0], offset[1], offset[2]),
             torque: truth.torque + Vector3::new(offset[3], offset[4], offset[5]),
         }
@@ -221,7 +221,7 @@ mod tests {
         let (mut sums, mut squares, mut angles) = ([0.0; 2], [0.0; 2], 0.0);
         let n = 20_000;
         for _ in 0..n {
-            s.sense(0.0, &position, &velocity, [Wrench::default(); 2].into_iter(), &mut sample);
+            s.sense(0.0, &position, &velocity, [ForceTorque::default(); 2].into_iter(), &mut sample);
             for i in 0..2 {
                 sums[i] += sample.wrenches[i].force.x;
                 squares[i] += sample.wrenches[i].force.x.powi(2);
@@ -244,7 +244,7 @@ mod tests {
         let still = vec![0.0; model.joints().len()];
         let mut sample = Sample::resting(&model, still.clone());
         let mut read = |s: &mut Sensors, t: f64| {
-            s.sense(t, &still, &still, [Wrench::default(); 2].into_iter(), &mut sample);
+            s.sense(t, &still, &still, [ForceTorque::default(); 2].into_iter(), &mut sample);
             [sample.wrenches[0].force, sample.wrenches[1].force]
         };
         assert_ne!(read(&mut s, 0.5)[0], read(&mut s, 0.6)[0]);

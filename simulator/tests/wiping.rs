@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use armarium_robot::{DifferentialIk, IkConfig, Lease, LeaseLimits, LinkId, Robot, Twist};
 use armarium_simulator::world::{Disturbance, ObjectSpec};
-use armarium_simulator::{Mark, Options, Simulation, World};
+use armarium_simulator::{Milestone, Options, Simulation, World};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 
 /// Moves the right hand of a simulation with knowledge of the truth.
@@ -108,7 +108,7 @@ fn grasped_object(world: &World, object: usize) -> (TruthfulHand, Isometry3<f64>
     assert!(hand.go(&grasp, 3.0, 0.0) < 0.005);
     hand.go(&grasp, 1.5, -0.05);
     assert!(hand.simulation.truth().held);
-    hand.simulation.referee().mark(Mark::GraspClosed, hand.now());
+    hand.simulation.referee().mark(Milestone::GraspClosed, hand.now());
     (hand, grasp)
 }
 
@@ -122,7 +122,7 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
 
     // Down, then a circle at 8 N by a plain integrating force controller on the true force.
     let referee = hand.simulation.referee();
-    referee.mark(Mark::AdaptationStarted, hand.now());
+    referee.mark(Milestone::AdaptationStarted, hand.now());
     let center = grasp.translation.vector;
     let (mut z, radius, omega) = (hand.simulation.truth().tcp.translation.z, 0.04, TAU * 0.4);
     let (mut t, mut marked) = (0.0f64, false);
@@ -143,7 +143,7 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
         t += 1e-3;
         if t > 11.0 && !marked {
             marked = true;
-            referee.mark(Mark::AdaptationEnded { desired_n: 8.0, cycles: 2 }, hand.now());
+            referee.mark(Milestone::AdaptationEnded { desired_n: 8.0, cycles: 2 }, hand.now());
         }
     }
     assert!(hand.simulation.truth().held);
@@ -176,7 +176,7 @@ fn what_was_grasped_is_judged_whatever_its_name_is() {
     let (mut hand, grasp) = grasped_object(&world, 1);
     let referee = hand.simulation.referee();
     hand.go(&above(&grasp, 0.0, 0.0), 1.0, -0.05);
-    referee.mark(Mark::AdaptationEnded { desired_n: 8.0, cycles: 2 }, hand.now());
+    referee.mark(Milestone::AdaptationEnded { desired_n: 8.0, cycles: 2 }, hand.now());
     hand.go(&above(&grasp, 0.02, 0.0), 1.0, -0.05);
     assert_eq!(referee.judged_object(), Some(1));
     let report = referee.report();

@@ -24,7 +24,7 @@ const TRACKING_GAIN: f64 = 12.0;
 
 /// Delivers the newest samples of the robot until the skill is cancelled.
 pub(crate) struct Senses {
-    sensed: newest::Receiver<Arc<Sensed>>,
+    sensed: newest::NewestReceiver<Arc<Sensed>>,
     cancel: CancellationToken,
     last_ns: Option<u64>,
 }

@@ -3,7 +3,7 @@
 //!
 //! It does not own the motion: each change is sent to the skill that executes it (see `running_motion/`).
 
-use armarium_motion::{Coach, CoachConfig, CoachInput, CoachReport};
+use armarium_motion::{CoachConfig, CoachInput, CoachReport, CoachedMotion};
 use armarium_runtime::skill::{Failure, SkillContext};
 use nalgebra::{Point3, Vector3};
 
@@ -17,7 +17,7 @@ use crate::running_motion::MotionEditor;
 pub(crate) struct Coaching {
     senses: Senses,
     motion: MotionEditor,
-    coach: Coach,
+    coach: CoachedMotion,
     /// Time since the coach's last action, s.
     idle: f64,
 }
@@ -26,7 +26,7 @@ impl Coaching {
     /// Coaches the running motion that the input `motion` refers to.
     pub(crate) fn begin(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let motion = equipment.motions.edit(&context.entity("motion")?)?;
-        let coach = Coach::new(CoachConfig::default(), &motion.view()?).map_err(failed)?;
+        let coach = CoachedMotion::new(CoachConfig::default(), &motion.view()?).map_err(failed)?;
         Ok(Self { senses: Senses::new(&*equipment.robot, context), motion, coach, idle: 0.0 })
     }
 

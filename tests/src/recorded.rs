@@ -10,7 +10,7 @@ use armarium_simulator::coach::{ActionEvent, ActionKind, EventKind};
 use armarium_simulator::referee::{Record, TruthLog, measure};
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::world::Gesture;
-use armarium_simulator::{Mark, World};
+use armarium_simulator::{Milestone, World};
 use nalgebra::{Isometry3, Quaternion, Translation3, Unit};
 use serde_json::Value;
 
@@ -22,7 +22,7 @@ pub struct Recorded {
     /// The truth at every step.
     pub log: TruthLog,
     /// When the parts of the scenario began and ended, from the chart's events.
-    pub marks: Vec<(u64, Mark)>,
+    pub marks: Vec<(u64, Milestone)>,
     /// Gestures that vision recognised, by the frame's time, ns.
     pub seen: Vec<(u64, Option<String>)>,
 }
@@ -229,10 +229,10 @@ fn action(json: &Value) -> Option<ActionEvent> {
 }
 
 /// A mark set by a skill.
-fn mark(message: &Value) -> Option<Mark> {
+fn mark(message: &Value) -> Option<Milestone> {
     let numbers = message["numbers"].as_object()?.iter();
     let numbers = numbers.filter_map(|(name, value)| Some((name.clone(), value.as_f64()?))).collect();
-    Mark::named(message["mark"].as_str()?, &numbers)
+    Milestone::named(message["mark"].as_str()?, &numbers)
 }
 
 /// Figures whose values in a report and in the recomputation differ by more than the recording's rounding explains.

@@ -198,3 +198,40 @@ fn no_code_names_a_robot_or_a_part_of_one() {
     }
     assert_eq!(found, Vec::<String>::new());
 }
+
+/// Source text of the library rooms, without tests: what others build on.
+fn library_sources() -> Vec<(PathBuf, String)> {
+    let is_test = |path: &Path| path.iter().any(|part| part == "tests" || part == "tests.rs");
+    let of_library = |path: &PathBuf| !path.starts_with(repository::root().join("cli")) && !is_test(path);
+    let without_tests = |text: String| text.split("#[cfg(test)]\nmod ").next().unwrap_or_default().to_owned();
+    sources().into_iter().filter(of_library).map(|path| (path.clone(), without_tests(read(&path)))).collect()
+}
+
+#[test]
+fn a_public_type_has_a_name_of_its_own_in_the_whole_house() {
+    let mut places: std::collections::BTreeMap<String, Vec<String>> = std::collections::BTreeMap::new();
+    for (path, text) in library_sources() {
+        for line in text.lines() {
+            let kinds = ["pub struct ", "pub enum ", "pub trait ", "pub type "];
+            let Some(rest) = kinds.iter().find_map(|kind| line.strip_prefix(kind)) else { continue };
+            let name = rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default();
+            places.entry(name.to_owned()).or_default().push(path.display().to_string());
+        }
+    }
+    assert!(places.len() > 400, "types are not found: {}", places.len());
+    let twice: Vec<_> = places.iter().filter(|(_, places)| places.len() > 1).collect();
+    assert!(twice.is_empty(), "one name, two types: {twice:#?}");
+}
+
+#[test]
+fn errors_of_library_rooms_have_types() {
+    let mut untyped = Vec::new();
+    for (path, text) in library_sources() {
+        let code = code_of(&text).split_whitespace().collect::<Vec<_>>().join(" ");
+        let results = code.split("-> Result<").skip(1).filter_map(|rest| rest.split(" {").next());
+        untyped.extend(
+            results.filter(|of| of.ends_with(", String>")).map(|of| format!("{}: {of}", path.display())),
+        );
+    }
+    assert_eq!(untyped, Vec::<String>::new());
+}

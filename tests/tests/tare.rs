@@ -74,7 +74,7 @@ impl Robot for Scripted {
     fn model(&self) -> &Arc<Model> {
         &self.model
     }
-    fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
+    fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>> {
         self.sensed.subscribe()
     }
     fn lease_together(&self, _: &[&str], _: &str, _: LeaseLimits, _: &[String]) -> Result<Lease, LeaseError> {

@@ -4,12 +4,14 @@
 //!   programs.
 //! - [`chart`]: a statechart as a picture, for papers and for other tools.
 //! - [`report`]: `report.html`, one file with all pictures embedded, and the judgement of a report's figures.
+//! - [`image_page`]: a page that shows the images of a provider live.
 //! - [`progress`]: one line with the current state of a run.
 //!
-//! This room draws plain values: it knows no simulator, reads no clock and never prints. The caller passes the
-//! numbers and a writer.
+//! This room draws plain values: it knows no simulator and never prints, and only a live page waits by a clock. The
+//! caller passes the numbers and a writer.
 
 pub mod chart;
+pub mod image_page;
 mod markup;
 pub mod progress;
 pub mod recorder;

@@ -10,7 +10,7 @@ use parking_lot::{Mutex, MutexGuard};
 
 /// The content of the line.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Status {
+pub struct ProgressLine {
     /// Simulated time since the run's start, s.
     pub simulated_s: f64,
     /// Wall-clock time since the run's start, s.
@@ -21,7 +21,7 @@ pub struct Status {
     pub force_n: Option<f64>,
 }
 
-impl Status {
+impl ProgressLine {
     /// The line without decoration.
     ///
     /// The factor is simulated time over wall-clock time: 2 is twice real time.
@@ -115,7 +115,7 @@ impl Progress {
     }
 
     /// Shows the status, unless the last update was very recent. Write errors are ignored.
-    pub fn update(&self, status: &Status) {
+    pub fn update(&self, status: &ProgressLine) {
         let mut inner = self.inner();
         if inner.due(status.simulated_s, status.wall_s) {
             inner.next_wall_s = status.wall_s + REDRAW_S;
@@ -130,7 +130,7 @@ impl Progress {
     }
 
     /// Ends the live line; the final status remains on a line of its own.
-    pub fn finish(&self, status: &Status) {
+    pub fn finish(&self, status: &ProgressLine) {
         let mut inner = self.inner();
         drop(inner.show(status.line()).and_then(|()| {
             let terminal = inner.terminal;
@@ -216,9 +216,9 @@ mod tests {
         }
     }
 
-    fn at(simulated_s: f64, wall_s: f64) -> Status {
+    fn at(simulated_s: f64, wall_s: f64) -> ProgressLine {
         let states = ["Wipe", "Wipe.Execution.Wiping", "Wipe.Coaching.Watching"].map(str::to_owned).to_vec();
-        Status { simulated_s, wall_s, states, force_n: Some(7.94) }
+        ProgressLine { simulated_s, wall_s, states, force_n: Some(7.94) }
     }
 
     #[test]
@@ -227,7 +227,7 @@ mod tests {
             at(83.25, 40.0).line(),
             "01:23.2  Wipe: Execution.Wiping | Coaching.Watching    7.9 N  2.1x"
         );
-        let one = Status { states: vec!["Learn".into()], ..Status::default() };
+        let one = ProgressLine { states: vec!["Learn".into()], ..ProgressLine::default() };
         assert_eq!(one.line(), "00:00.0  Learn");
     }
 
@@ -244,7 +244,7 @@ mod tests {
     fn a_log_line_stands_above_the_live_line() {
         let page = Page::default();
         let mut progress = Progress::new(Box::new(page.clone()), true);
-        progress.update(&Status { states: vec!["A".into()], ..Status::default() });
+        progress.update(&ProgressLine { states: vec!["A".into()], ..ProgressLine::default() });
         progress.write_all(b"one\nhalf").expect("writing to memory succeeds");
         let drawn = format!("{ERASE}\x1b[?7l00:00.0  A\x1b[?7h");
         assert_eq!(page.text(), format!("{drawn}{ERASE}one\n{drawn}"));

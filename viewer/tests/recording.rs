@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use armarium_viewer::recorder::{Contact, LogLevel, Recorder, RecorderOptions, WrenchSample};
+use armarium_viewer::recorder::{LogLevel, Recorder, RecorderOptions, TrueContact, WrenchSample};
 use armarium_visionx::RgbImage;
 use foxglove::{Decode, messages as fg};
 use nalgebra::{Isometry3, Vector3};
@@ -29,7 +29,7 @@ fn record(path: &std::path::Path, n: u64) -> Recorder {
         let (t, x) = (i * MS, (i as f64 * 0.013).sin());
         recorder.pose("/truth/tcp", t, &tcp(i));
         recorder.pose("/truth/sponge", t, &tcp(i + 5));
-        recorder.contact(t, &Contact { normal_n: 8.0 + x, tangential_n: 4.0 }).expect("numbers encode");
+        recorder.contact(t, &TrueContact { normal_n: 8.0 + x, tangential_n: 4.0 }).expect("numbers encode");
         recorder.joints(t, &names, &[x; 17], &[0.5; 17]);
         recorder
             .wrench(t, &WrenchSample { force: [x, 0.0, 8.0], ..Default::default() })
@@ -96,7 +96,7 @@ fn every_message_comes_back_with_its_time_and_values() {
     assert!((Vector3::new(position.x, position.y, position.z) - expected).amax() < 0.5e-6);
 
     let (_, data) = &topics["/truth/contact"][100];
-    let contact: Contact = serde_json::from_slice(data).expect("it is the JSON of a contact");
+    let contact: TrueContact = serde_json::from_slice(data).expect("it is the JSON of a contact");
     assert!((contact.normal_n - 8.0 - (1.3_f64).sin()).abs() < 0.51e-3);
     assert_eq!(contact.tangential_n, 4.0);
 

@@ -8,6 +8,7 @@ use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
 use crate::mask::Region;
 use crate::tracking::hand::HandObservation;
+use crate::tracking::{HandInPicture, SkinSegmentation};
 
 /// Why a picture could not be encoded.
 #[derive(Debug, thiserror::Error)]
@@ -90,6 +91,31 @@ pub fn hand(image: &mut RgbImage, hand: &HandObservation) {
     for tip in &hand.fingertips {
         circle(image, &tip.px, 5.0, [255, 0, 0]);
         line(image, &hand.palm_px, &tip.px, [255, 0, 0]);
+    }
+}
+
+/// Draws a hand that was found in a single image: the rest of the image darker, its box, palm and fingertips.
+pub fn hand_in_picture(image: &mut RgbImage, hand: &HandInPicture) {
+    silhouette(image, &hand.segmentation);
+    region(image, &hand.bounding_box, [255, 40, 200]);
+    circle(image, &hand.palm, hand.palm_radius, [0, 255, 0]);
+    for tip in &hand.fingertips {
+        for radius in [6.0, 7.0, 8.0] {
+            circle(image, &tip.px, radius, [255, 255, 0]);
+        }
+        line(image, &hand.palm, &tip.px, [255, 255, 0]);
+    }
+}
+
+/// Darkens all pixels outside of a segmented hand.
+pub fn silhouette(image: &mut RgbImage, hand: &SkinSegmentation) {
+    let (w, h) = (image.width(), image.height());
+    for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+        let (u, v) = ((f64::from(x) / hand.scale) as i64, (f64::from(y) / hand.scale) as i64);
+        if !hand.mask.contains(u, v) {
+            let dark = image.pixel(x, y).map(|c| c / 2);
+            pixel(image, i64::from(x), i64::from(y), dark);
+        }
     }
 }
 

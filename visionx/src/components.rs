@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Point2};
 
-use crate::mask::{Mask, Region, Run};
+use crate::mask::{Mask, PixelRun, Region};
 
 /// A connected component (8-neighbours) of a mask.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,14 +16,14 @@ pub struct Component {
     /// The smallest rectangle around it.
     pub bounds: Region,
     /// Its pixels, by row and column.
-    pub runs: Vec<Run>,
+    pub runs: Vec<PixelRun>,
 }
 
 /// The connected components of at least `min_area` pixels, largest first (of equals, the topmost leftmost).
 pub fn components(mask: &Mask, min_area: u32) -> Vec<Component> {
     let runs = runs_of(mask);
     let parents = link(&runs);
-    let mut groups: Vec<Vec<Run>> = Vec::new();
+    let mut groups: Vec<Vec<PixelRun>> = Vec::new();
     let mut group_of = vec![usize::MAX; runs.len()];
     for (i, run) in runs.iter().enumerate() {
         // Parents come before their children, so that a root's group exists when a child arrives.
@@ -34,7 +34,7 @@ pub fn components(mask: &Mask, min_area: u32) -> Vec<Component> {
         }
         groups[group_of[root]].push(*run);
     }
-    let area = |g: &[Run]| g.iter().map(|r| r.x1 - r.x0).sum::<u32>();
+    let area = |g: &[PixelRun]| g.iter().map(|r| r.x1 - r.x0).sum::<u32>();
     let mut found: Vec<Component> =
         groups.into_iter().filter(|g| area(g) >= min_area.max(1)).map(Component::from_runs).collect();
     found.sort_by_key(|c| std::cmp::Reverse(c.area));
@@ -43,7 +43,7 @@ pub fn components(mask: &Mask, min_area: u32) -> Vec<Component> {
 
 impl Component {
     /// The component made of these runs, at least one pixel in total.
-    fn from_runs(runs: Vec<Run>) -> Self {
+    fn from_runs(runs: Vec<PixelRun>) -> Self {
         let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
         for r in &runs {
@@ -78,7 +78,7 @@ impl Component {
     }
 }
 
-fn runs_of(mask: &Mask) -> Vec<Run> {
+fn runs_of(mask: &Mask) -> Vec<PixelRun> {
     let region = mask.region();
     let mut runs = Vec::new();
     for y in 0..mask.height() {
@@ -86,7 +86,11 @@ fn runs_of(mask: &Mask) -> Vec<Run> {
         let mut x = 0;
         while let Some(start) = row[x..].iter().position(|&v| v != 0).map(|n| x + n) {
             let end = row[start..].iter().position(|&v| v == 0).map_or(row.len(), |n| start + n);
-            runs.push(Run { y: region.y + y as u32, x0: region.x + start as u32, x1: region.x + end as u32 });
+            runs.push(PixelRun {
+                y: region.y + y as u32,
+                x0: region.x + start as u32,
+                x1: region.x + end as u32,
+            });
             x = end;
         }
     }
@@ -94,7 +98,7 @@ fn runs_of(mask: &Mask) -> Vec<Run> {
 }
 
 /// For each run the first run of its component.
-fn link(runs: &[Run]) -> Vec<usize> {
+fn link(runs: &[PixelRun]) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..runs.len()).collect();
     let mut above = 0;
     for i in 0..runs.len() {

@@ -54,7 +54,7 @@ pub use joined::JoinedImages;
 pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
-pub use mask::{Mask, Region, Run};
+pub use mask::{Mask, PixelRun, Region};
 pub use processor::{
     FindingSource, ImageFinding, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
     run_processor,

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// A horizontal run of set pixels, in the coordinates of the image: columns `x0 .. x1` of row `y`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Run {
+pub struct PixelRun {
     /// Row, px.
     pub y: u32,
     /// First column, px.
@@ -123,7 +123,7 @@ impl Mask {
     }
 
     /// Sets the pixels of some runs, given in the coordinates of the image; skips those outside of the region.
-    pub fn add(&mut self, runs: &[Run]) {
+    pub fn add(&mut self, runs: &[PixelRun]) {
         let (region, w) = (self.region, self.width());
         for run in runs.iter().filter(|r| r.y >= region.y && r.y < region.y + region.height) {
             let clip = |x: u32| x.clamp(region.x, region.x + region.width) - region.x;

@@ -3,7 +3,6 @@
 
 mod calibrate;
 mod live;
-mod page;
 mod play;
 mod record;
 mod source;

@@ -8,7 +8,11 @@ use armarium_visionx::annotate::png;
 use armarium_visionx::providers::convert::{depth_png, rgb_of};
 use armarium_visionx::providers::{ImageCoding, RawFrame};
 
-use super::{Failure, ViewArgs, argument, failed, page, source};
+use armarium_viewer::image_page;
+use tokio::net::TcpListener;
+
+use super::{Failure, ViewArgs, argument, failed, source};
+use crate::stopped::stopped;
 use armarium_host::Connection;
 
 /// Shows the page until Ctrl-C, or writes the requested number of frames.
@@ -22,7 +26,7 @@ pub(super) async fn run(
     let speed = args.png.is_none().then_some(1.0);
     let source = source::open(&args.source, connection, coding, speed).await?;
     let Some(folder) = &args.png else {
-        return page::show(source, args.port, out).await;
+        return show(source, args.port, out).await;
     };
     std::fs::create_dir_all(folder)
         .map_err(|e| argument(format!("the folder `{}` cannot be made: {e}", folder.display())))?;
@@ -45,6 +49,20 @@ pub(super) async fn run(
         ))),
         _ => Ok(()),
     }
+}
+
+async fn show(source: source::Source, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
+    let listener = TcpListener::bind(("127.0.0.1", port)).await;
+    let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
+    let address = listener.local_addr().map_err(failed)?;
+    writeln!(out, "http://{address}/ shows {}; Ctrl-C ends it", source.provider.description().name)?;
+    out.flush()?;
+    tokio::select! {
+        biased;
+        () = stopped() => {}
+        () = image_page::serve(listener, source.provider, source.remote) => {}
+    }
+    Ok(())
 }
 
 /// Writes the images of a frame; returns their number.

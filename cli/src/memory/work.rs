@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
-    Commit, EntityId, Filter, Instance, MemoryError, Pattern, Query, Region, Snapshot, Times, infer,
+    Commit, EntityId, Filter, Instance, MemoryError, Pattern, Query, Snapshot, SpatialRegion, Times, infer,
 };
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
@@ -232,11 +232,13 @@ fn query(args: &QueryArgs) -> Result<Query, Failure> {
     (query.limit, query.most, query.long_term) = (args.limit, args.most, args.long_term);
     let frame = Frame(args.frame.clone());
     query.region = match (&args.near, args.radius, &args.in_box) {
-        (Some(near), Some(radius), _) => Some(Region::Within { frame, of: numbers(near)?, radius }),
-        (Some(near), None, _) => Some(Region::Nearest { frame, to: numbers(near)?, count: args.count }),
+        (Some(near), Some(radius), _) => Some(SpatialRegion::Within { frame, of: numbers(near)?, radius }),
+        (Some(near), None, _) => {
+            Some(SpatialRegion::Nearest { frame, to: numbers(near)?, count: args.count })
+        }
         (None, _, Some(corners)) => {
             let [a, b, c, d, e, f] = numbers(corners)?;
-            Some(Region::Box { frame, min: [a, b, c], max: [d, e, f] })
+            Some(SpatialRegion::Box { frame, min: [a, b, c], max: [d, e, f] })
         }
         _ => None,
     };

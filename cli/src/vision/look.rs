@@ -83,7 +83,7 @@ fn look(file: &str, image: &mut RgbImage, seek: &Seek, as_json: bool, out: &mut 
     let hand = HandInPicture::find(image);
     let line = hand_line(file, hand.as_ref(), recognizer);
     if let Some(hand) = &hand {
-        draw(image, hand);
+        annotate::hand_in_picture(image, hand);
     }
     if as_json { json(&line, out) } else { line.text(out) }
 }
@@ -118,7 +118,7 @@ fn skin(file: &str, image: &mut RgbImage, as_json: bool, out: &mut dyn Write) ->
     let hand = HandInPicture::find(image);
     let line = skin_line(file, hand.as_ref(), image);
     if let Some(hand) = &hand {
-        draw_silhouette(image, hand);
+        annotate::silhouette(image, &hand.segmentation);
     }
     match as_json {
         true => json(&line, out),
@@ -136,31 +136,6 @@ fn skin_line(file: &str, hand: Option<&HandInPicture>, image: &RgbImage) -> Skin
         confidence: hand.map_or(0.0, |h| rounded(h.segmentation.confidence, 3)),
         hand: hand.map(|h| h.bounding_box.into()),
         share: hand.map_or(0.0, |h| rounded(share(h).min(1.0), 4)),
-    }
-}
-
-fn draw(image: &mut RgbImage, hand: &HandInPicture) {
-    draw_silhouette(image, hand);
-    annotate::region(image, &hand.bounding_box, DRAWN);
-    annotate::circle(image, &hand.palm, hand.palm_radius, [0, 255, 0]);
-    for tip in &hand.fingertips {
-        for radius in [6.0, 7.0, 8.0] {
-            annotate::circle(image, &tip.px, radius, [255, 255, 0]);
-        }
-        annotate::line(image, &hand.palm, &tip.px, [255, 255, 0]);
-    }
-}
-
-/// Darkens all pixels outside the hand.
-fn draw_silhouette(image: &mut RgbImage, hand: &HandInPicture) {
-    let scale = hand.segmentation.scale;
-    let (w, h) = (image.width(), image.height());
-    for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
-        let (u, v) = ((f64::from(x) / scale) as i64, (f64::from(y) / scale) as i64);
-        if !hand.segmentation.mask.contains(u, v) {
-            let dark = image.pixel(x, y).map(|c| c / 2);
-            annotate::pixel(image, i64::from(x), i64::from(y), dark);
-        }
     }
 }
 

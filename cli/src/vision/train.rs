@@ -7,13 +7,12 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use armarium_experiments::fingertips::{RATE_HZ, simulated_paths};
-use armarium_visionx::tracking::FingerARModel;
+use armarium_visionx::tracking::{FingerARModel, TipFollower};
 use nalgebra::Point2;
 
 use super::TrainArgs;
 use super::look::refuse;
 use super::sequence::Sequence;
-use super::track::Follower;
 
 /// The positions of one fingertip, frame by frame, normalised; not finite where it was not seen.
 type Path2 = Vec<Point2<f64>>;
@@ -58,7 +57,7 @@ pub(super) fn run(args: &TrainArgs, out: &mut dyn Write, err: &mut dyn Write) ->
 fn seen(path: &Path, args: &TrainArgs) -> Result<Vec<Path2>, String> {
     let sequence = Sequence::open(path, None)?;
     let walk = FingerARModel::random_walk(0.02, args.rate);
-    let mut follower = Follower::new(walk, args.focal);
+    let mut follower = TipFollower::new(walk, args.focal);
     let mut paths: BTreeMap<u64, Path2> = BTreeMap::new();
     sequence.each(|(_, image)| {
         let Ok(image) = image else { return true };

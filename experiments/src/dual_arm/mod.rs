@@ -17,7 +17,7 @@ use nalgebra::{Point3, Vector3, Vector6};
 
 use super::dual_arm_robot::{Arms, JOINTS, Joints};
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome};
+use super::experiment::{Experiment, ExperimentResult};
 use super::ilc::{Lift, learned, until_diverged};
 use super::settings::{Settings as _, settings};
 
@@ -127,7 +127,7 @@ impl Experiment for DualArm {
     const ALIASES: &'static [(&'static str, &'static str)] =
         &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let mut arms = Arms::new()?;
         let mut demonstrations = self.demonstrate(&mut arms)?;
@@ -142,7 +142,7 @@ impl Experiment for DualArm {
             control.finish(&mut demonstrations.left)?;
             Ok::<_, ExperimentError>(epoch)
         });
-        let mut outcome = Outcome::default();
+        let mut outcome = ExperimentResult::default();
         self.figures(&before, &epochs, diverged, &mut outcome);
         outcome.plot("dual_arm", self.plot(&before, &epochs));
         Ok(outcome)

@@ -2,7 +2,7 @@
 
 use super::*;
 
-fn list(outcome: &Outcome, name: &str) -> Vec<f64> {
+fn list(outcome: &ExperimentResult, name: &str) -> Vec<f64> {
     outcome.figures[name].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
 }
 

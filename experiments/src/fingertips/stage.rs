@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 
 use armarium_simulator::render::hand::{HandPose, fingertips, hand_shapes, tip_radius};
-use armarium_simulator::render::{Geometry, Scene, SensorNoise, Shape, Viewpoint, render_pair};
+use armarium_simulator::render::{SensorNoise, Shape, Viewpoint, VisibleForm, VisibleScene, render_pair};
 use armarium_visionx::{Gesture, PinholeCamera, RgbImage, StereoCalibration, StereoFrame};
 use nalgebra::{Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -134,7 +134,7 @@ impl Stage {
         let scene_from_hand = self.viewpoints[0].scene_from_camera * left_from_hand;
         let mut shapes = self.background.clone();
         shapes.extend(hand_shapes(&pose, &scene_from_hand));
-        let [mut left, mut right] = render_pair(&Scene::new(shapes), &self.viewpoints);
+        let [mut left, mut right] = render_pair(&VisibleScene::new(shapes), &self.viewpoints);
         self.noise.apply(&mut left.image, number, 0);
         self.noise.apply(&mut right.image, number, 1);
         let seen = |p: &Point3<f64>, shift: f64, border: f64| {
@@ -195,7 +195,7 @@ fn straight(gesture: Gesture, finger: usize) -> bool {
 fn scenery(background: u64, camera: &Viewpoint) -> Vec<Shape> {
     let at = |x: f64, y: f64, z: f64| camera.scene_from_camera * Isometry3::translation(x, y, z);
     let wall = |color| Shape {
-        geometry: Geometry::Box { half: Vector3::new(3.0, 2.5, 0.02) },
+        geometry: VisibleForm::Box { half: Vector3::new(3.0, 2.5, 0.02) },
         scene_from_shape: at(0.0, 0.0, 1.45),
         color,
     };
@@ -204,12 +204,12 @@ fn scenery(background: u64, camera: &Viewpoint) -> Vec<Shape> {
         1 => vec![wall([224, 172, 138])],
         _ => {
             let thing = |x, y, color| Shape {
-                geometry: Geometry::Box { half: Vector3::new(0.09, 0.12, 0.05) },
+                geometry: VisibleForm::Box { half: Vector3::new(0.09, 0.12, 0.05) },
                 scene_from_shape: at(x, y, 1.35),
                 color,
             };
             let ball = Shape {
-                geometry: Geometry::Sphere { radius: 0.08 },
+                geometry: VisibleForm::Sphere { radius: 0.08 },
                 scene_from_shape: at(0.1, -0.3, 1.32),
                 color: [230, 120, 20],
             };

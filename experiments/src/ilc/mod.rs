@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::arm4::Arm4;
 use super::dpdmp::rise;
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome};
+use super::experiment::{Experiment, ExperimentResult};
 use super::settings::{Setting, Settings as _, settings};
 
 /// The space of the primitives and of the learned control.
@@ -121,11 +121,11 @@ impl Experiment for Ilc {
     const ALIASES: &'static [(&'static str, &'static str)] =
         &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let learning = self.learn(self.k2)?;
         let forces_only = self.learn(0.0)?;
-        let mut outcome = Outcome::default();
+        let mut outcome = ExperimentResult::default();
         self.figures(&learning, &forces_only, &mut outcome);
         outcome.plot("ilc", self.plot_epochs(&learning));
         outcome.plot("ilc_joints", self.plot_joints(&learning));

@@ -11,7 +11,7 @@ use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::error::{ExperimentError, within};
-use super::experiment::{Experiment, Outcome, panel};
+use super::experiment::{Experiment, ExperimentResult, panel};
 use super::settings::{Setting, Settings as _, settings};
 
 /// The waveform.
@@ -122,7 +122,7 @@ impl Experiment for Oscillator {
     const NAME: &'static str = "oscillator";
     const ABOUT: &'static str = "adaptive frequency oscillator: when it settles on which signal";
 
-    fn run(&self) -> Result<Outcome, ExperimentError> {
+    fn run(&self) -> Result<ExperimentResult, ExperimentError> {
         self.check()?;
         let log = self.listen()?;
         let mut outcome = self.figures(&log);
@@ -230,8 +230,8 @@ impl Oscillator {
         Ok(log)
     }
 
-    fn figures(&self, log: &OscillatorLog) -> Outcome {
-        let mut outcome = Outcome::default();
+    fn figures(&self, log: &OscillatorLog) -> ExperimentResult {
+        let mut outcome = ExperimentResult::default();
         let step = (self.step_at / self.dt).round() as usize;
         let steps = self.signal == Signal::Step;
         let first = settle(log, 0, if steps { step } else { log.hz.len() });
@@ -259,7 +259,7 @@ impl Oscillator {
     }
 
     /// Settling times in periods over the frequency, with and without an estimated start.
-    fn sweep(&self, outcome: &mut Outcome) -> Result<(), ExperimentError> {
+    fn sweep(&self, outcome: &mut ExperimentResult) -> Result<(), ExperimentError> {
         let hz: Vec<f64> = (0..16).map(|i| 0.25 * 16.0_f64.powf(f64::from(i) / 15.0)).collect();
         // These two signals define their own frequencies.
         let own = matches!(self.signal, Signal::Step | Signal::Chirp);

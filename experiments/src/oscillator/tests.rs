@@ -2,11 +2,11 @@
 
 use super::*;
 
-fn run(settings: Oscillator) -> Outcome {
+fn run(settings: Oscillator) -> ExperimentResult {
     settings.run().unwrap()
 }
 
-fn figure(outcome: &Outcome, name: &str) -> f64 {
+fn figure(outcome: &ExperimentResult, name: &str) -> f64 {
     outcome.figures[name].as_f64().unwrap_or(f64::NAN)
 }
 

@@ -10,7 +10,7 @@ use super::tests::{store, versions};
 use super::*;
 use crate::entity::Commit;
 use crate::memory::pages;
-use crate::place::Region;
+use crate::place::SpatialRegion;
 use crate::query::{Cursor, Times};
 use crate::working::MemoryLimits;
 
@@ -45,8 +45,16 @@ fn queries() -> impl Strategy<Value = Query> {
     let bounds = (proptest::option::of(0usize..6), proptest::option::of(0u64..900), proptest::bool::ANY);
     let world = || Frame("world".into());
     let region = proptest::option::of(prop_oneof![
-        (0usize..6).prop_map(move |count| Region::Nearest { frame: world(), to: [5.0, 1.0, 0.0], count }),
-        (0.0..9.0).prop_map(move |radius| Region::Within { frame: world(), of: [4.0, 0.0, 0.0], radius }),
+        (0usize..6).prop_map(move |count| SpatialRegion::Nearest {
+            frame: world(),
+            to: [5.0, 1.0, 0.0],
+            count
+        }),
+        (0.0..9.0).prop_map(move |radius| SpatialRegion::Within {
+            frame: world(),
+            of: [4.0, 0.0, 0.0],
+            radius
+        }),
     ]);
     let part = (proptest::option::of(cursor), bounds, proptest::option::of(3u64..9), region);
     (pattern, times, proptest::option::of(prop_oneof![0usize..4, Just(usize::MAX)]), filter, part).prop_map(

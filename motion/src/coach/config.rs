@@ -61,7 +61,7 @@ impl TryFrom<SavedField> for HandField {
 }
 
 constants! {
-    /// The constants of a [`Coach`](crate::Coach).
+    /// The constants of a [`CoachedMotion`](crate::CoachedMotion).
     pub struct CoachConfig {
         /// The field of a hand; its `gamma` scales how far a gesture moves the path.
         field: HandField = HandField::default();

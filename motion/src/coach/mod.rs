@@ -80,7 +80,7 @@ enum InputKind {
 
 /// Changes a running motion by the coach's input. One coach belongs to one primitive.
 #[derive(Debug, Clone)]
-pub struct Coach {
+pub struct CoachedMotion {
     config: CoachConfig,
     normal: Option<Vector3<f64>>,
     response: PathResponse,
@@ -113,7 +113,7 @@ const HAND_STANDS: f64 = 0.3;
 /// of a period. The robot's own arm hides a part of the hand once in each period.
 const HAND_AWAY: (f64, f64) = (0.8, 0.4);
 
-impl Coach {
+impl CoachedMotion {
     /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
     ///
     /// # Errors

@@ -76,7 +76,7 @@ fn coached_with(
     came: Option<f64>,
     input: impl Fn(f64, &PeriodicDmp) -> CoachInput,
 ) -> (PeriodicPath, PeriodicPath, PeriodicPath) {
-    let mut coach = Coach::new(CoachConfig::default(), dmp).unwrap();
+    let mut coach = CoachedMotion::new(CoachConfig::default(), dmp).unwrap();
     coach.set_arrival(came);
     let before = dmp.steady_path(SAMPLES).unwrap();
     let omega = TAU * hz;
@@ -186,7 +186,7 @@ fn a_hand_that_goes_takes_nothing_back() {
     let mut dmp = wiping("ellipse", [0.1, 0.06]);
     let [y, ..] = shape("ellipse", [0.1, 0.06], 0.75 * TAU);
     let hand = y - 0.12 * Vector3::y();
-    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
     let omega = TAU * 0.3;
     dmp.start_on_path(0.0, omega).unwrap();
     let mut stood = None;
@@ -262,7 +262,7 @@ fn pointing_shifts_the_whole_motion() {
 #[test]
 fn a_refused_step_changes_nothing() {
     let mut dmp = wiping("ellipse", [0.1, 0.1]);
-    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
     let weights = dmp.weights().to_vec();
     let hand = Vector3::new(f64::NAN, 0.0, 0.0);
     assert!(coach.step(&mut dmp, DT, 3.0, CoachInput::Attract { hand }).is_err());
@@ -271,7 +271,7 @@ fn a_refused_step_changes_nothing() {
     let mut other = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(2)).unwrap();
     assert!(coach.step(&mut other, DT, 3.0, CoachInput::Push { force: Vector3::x() }).is_err());
     assert_eq!(dmp.weights(), weights);
-    assert!(Coach::new(CoachConfig::default(), &other).is_err());
+    assert!(CoachedMotion::new(CoachConfig::default(), &other).is_err());
 }
 
 #[test]

@@ -13,7 +13,7 @@ use parking_lot::{Condvar, Mutex};
 use super::wire::{Claim, Description, Keys, Release, WireSample, WireTargets, described};
 use super::{Driver, DriverClock, DriverError, TimedSample};
 use crate::message::{read, written};
-use crate::{JointTargets, Model, Sample, Wrench};
+use crate::{ForceTorque, JointTargets, Model, Sample};
 
 /// A driver in real time without a sample for so long is lost.
 const LOST_AFTER: Duration = Duration::from_millis(500);
@@ -184,7 +184,7 @@ impl Driver for RemoteDriver {
         };
         let wrench = |&i: &usize| {
             let [fx, fy, fz, tx, ty, tz] = wrenches.get(i).copied().unwrap_or([f64::NAN; 6]);
-            Wrench { force: [fx, fy, fz].into(), torque: [tx, ty, tz].into() }
+            ForceTorque { force: [fx, fy, fz].into(), torque: [tx, ty, tz].into() }
         };
         // What is missing is no number, which the guard knows how to treat.
         let wrenches = self.order.wrenches.iter().map(wrench).collect();

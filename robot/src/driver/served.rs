@@ -180,7 +180,7 @@ impl Shared {
 
     fn sample(&self, number: u64, timed: TimedSample, braked: bool, refused: Option<String>) -> WireSample {
         let TimedSample { stamp_ns, sample, .. } = timed;
-        let wrench = |wrench: &crate::Wrench| {
+        let wrench = |wrench: &crate::ForceTorque| {
             let (force, torque) = (wrench.force, wrench.torque);
             [force.x, force.y, force.z, torque.x, torque.y, torque.z]
         };

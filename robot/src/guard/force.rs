@@ -10,7 +10,7 @@ use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 use super::GuardConfig;
 use crate::seam::lease::LeaseTable;
 use crate::wrist::WristEstimator;
-use crate::{Fault, Jacobian, Kinematics, LinkId, Model, SensedWrench, Wrench, WrenchSensor};
+use crate::{Fault, ForceTorque, Jacobian, Kinematics, LinkId, Model, SensedWrench, WrenchSensor};
 
 /// Once over its limit, the arm yields until the force is less than this share of it.
 const YIELD_UNTIL: f64 = 0.8;
@@ -83,7 +83,7 @@ impl Sensor {
         &mut self,
         kinematics: &Kinematics,
         velocity: &[f64],
-        raw: Option<&Wrench>,
+        raw: Option<&ForceTorque>,
         (stamp_ns, dt): (u64, f64),
         frozen_ns: u64,
     ) {

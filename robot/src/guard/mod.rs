@@ -25,8 +25,8 @@ use self::clearance::Clearance;
 use self::force::{Sensor, YieldingArms};
 use crate::seam::lease::{LeaseBoard, LeaseTable};
 use crate::{
-    Fault, GuardedRobot, JointKind, Kinematics, Model, Platform, PlatformKind, Robot as _, RobotLimits,
-    Sensed, Wrench,
+    Fault, ForceTorque, GuardedRobot, JointKind, Kinematics, Model, Platform, PlatformKind, Robot as _,
+    RobotLimits, Sensed,
 };
 
 /// The guard's own limits; leases can only tighten them.
@@ -89,14 +89,14 @@ pub struct Sample {
     pub velocity: Vec<f64>,
     /// What each hand exerts on its wrench sensor, in the sensor's frame, about its origin; in the order of the
     /// model's sensors.
-    pub wrenches: Vec<Wrench>,
+    pub wrenches: Vec<ForceTorque>,
 }
 
 impl Sample {
     /// At rest at `position`, with nothing on the wrench sensors of `model`.
     pub fn resting(model: &Model, position: Vec<f64>) -> Self {
         let velocity = vec![0.0; position.len()];
-        Self { position, velocity, wrenches: vec![Wrench::default(); model.wrenches().len()] }
+        Self { position, velocity, wrenches: vec![ForceTorque::default(); model.wrenches().len()] }
     }
 
     fn is_finite(&self, joints: usize) -> bool {

@@ -190,7 +190,7 @@ impl Robot for GuardedRobot {
         &self.shared.model
     }
 
-    fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
+    fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>> {
         self.shared.sensed.subscribe()
     }
 

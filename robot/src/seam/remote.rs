@@ -213,7 +213,7 @@ impl Robot for RemoteRobot {
         &self.shared.model
     }
 
-    fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
+    fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>> {
         self.shared.sensed.subscribe()
     }
 

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::planning::KnownBox;
-use crate::{Fault, LeaseError, LeaseLimits, Load, LoadShape, Model, Sensed, SensedWrench, Wrench};
+use crate::{Fault, ForceTorque, LeaseError, LeaseLimits, Load, LoadShape, Model, Sensed, SensedWrench};
 
 /// What a robot is, for the check that both sides mean the same.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -67,13 +67,13 @@ pub(super) struct RobotState {
     pub(super) faults: BTreeMap<String, Fault>,
 }
 
-fn six(wrench: &Wrench) -> [f64; 6] {
+fn six(wrench: &ForceTorque) -> [f64; 6] {
     let (force, torque) = (wrench.force, wrench.torque);
     [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 }
 
-fn wrench([fx, fy, fz, tx, ty, tz]: [f64; 6]) -> Wrench {
-    Wrench { force: [fx, fy, fz].into(), torque: [tx, ty, tz].into() }
+fn wrench([fx, fy, fz, tx, ty, tz]: [f64; 6]) -> ForceTorque {
+    ForceTorque { force: [fx, fy, fz].into(), torque: [tx, ty, tz].into() }
 }
 
 impl RobotState {

@@ -19,7 +19,7 @@ use super::literals::negative_time;
 use super::model::{self, Chart};
 use super::names::unknown_names;
 use super::suspicious::suspicious;
-use super::symbols::{Collector, Section, SkillPart, Symbol};
+use super::symbols::{Collector, HeadSection, SkillPart, Symbol};
 use crate::program::{
     Binding, Code, Entry, EventNames, Kind, Program, SourcePlace, State, StateId, Term, Transition, Watch,
 };
@@ -366,7 +366,7 @@ impl<'t> Compiler<'t> {
                 let name = name.text.clone();
                 match &tree.state(target).inside {
                     Inside::Chart { chart, .. } => {
-                        let section = Section::Inputs;
+                        let section = HeadSection::Inputs;
                         Some(Symbol::Declared { chart: chart.name.clone(), section, name })
                     }
                     Inside::Skill(manifest) => {

@@ -13,7 +13,7 @@ use armarium_values::{Fit, Type, Value};
 use super::catalog::ChannelSchema;
 use super::flatten::{Inside, Tree, number};
 use super::literals::fitting;
-use super::symbols::{Collector, Section, SkillPart, Symbol, parts};
+use super::symbols::{Collector, HeadSection, SkillPart, Symbol, parts};
 use crate::program::{Code, SourcePlace, StateId, Term};
 
 /// Mistakes for which the nearest name is looked for.
@@ -67,7 +67,7 @@ impl<'c> ChartNames<'c> {
         self.refer(site.source, self.last_part(site, at, written), || {
             let (section, _) = written.split_once('.')?;
             let chart = self.tree.chart_of(site.state).to_owned();
-            Some(Symbol::Declared { chart, section: Section::of(section)?, name: name.to_owned() })
+            Some(Symbol::Declared { chart, section: HeadSection::of(section)?, name: name.to_owned() })
         });
     }
 
@@ -266,7 +266,7 @@ impl Scope<'_, '_> {
         if self.site.bound.iter().any(|(name, _)| name == parts[0]) {
             return symbols;
         }
-        if let Some(section) = Section::of(parts[0]) {
+        if let Some(section) = HeadSection::of(parts[0]) {
             let (chart, name) = (names.tree.chart_of(state).to_owned(), parts[1].to_owned());
             symbols[1] = Some(Symbol::Declared { chart, section, name });
         } else if parts[0] == "channels" {
@@ -284,7 +284,7 @@ impl Scope<'_, '_> {
             {
                 symbols[used] = match &names.tree.state(last).inside {
                     Inside::Chart { chart, .. } => {
-                        let (chart, section) = (chart.name.clone(), Section::Outputs);
+                        let (chart, section) = (chart.name.clone(), HeadSection::Outputs);
                         Some(Symbol::Declared { chart, section, name })
                     }
                     Inside::Skill(manifest) => {

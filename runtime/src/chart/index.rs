@@ -53,7 +53,7 @@ impl Indexing<'_, '_> {
             add(name, true, declared(*section, &name.text));
         }
         for name in &chart.type_uses {
-            add(name, false, declared(super::symbols::Section::Types, &name.text));
+            add(name, false, declared(super::symbols::HeadSection::Types, &name.text));
         }
         for (event, _) in &chart.events {
             add(event, true, Symbol::Event { name: event.text.clone() });
@@ -66,7 +66,7 @@ impl Indexing<'_, '_> {
             }
         }
         for (name, _) in chart.profiles.values().flatten() {
-            add(name, false, declared(super::symbols::Section::Inputs, &name.text));
+            add(name, false, declared(super::symbols::HeadSection::Inputs, &name.text));
         }
     }
 

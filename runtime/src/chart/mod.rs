@@ -37,7 +37,7 @@ pub use model::Chart;
 pub use outline::{Outline, OutlineKind, OutlineState, OutlineTransition};
 pub use read::is_name;
 pub use schema::schema;
-pub use symbols::{NameReference, Section, SkillPart, Symbol};
+pub use symbols::{HeadSection, NameReference, SkillPart, Symbol};
 
 #[cfg(test)]
 pub(crate) mod testing;

@@ -8,7 +8,7 @@ use armarium_source::{Source, Span};
 use armarium_values::Type;
 
 use super::catalog::ChannelDescription;
-use super::symbols::Section;
+use super::symbols::HeadSection;
 use crate::skill::{DeclaredAt, Limits, Parameter, SkillManifest};
 
 /// One chart file.
@@ -27,7 +27,7 @@ pub struct Chart {
     /// What it remembers while it runs.
     pub locals: Vec<Parameter>,
     /// The names that the head gives, by section.
-    pub(crate) declared: Vec<(Section, Named)>,
+    pub(crate) declared: Vec<(HeadSection, Named)>,
     /// Where types of the head are named.
     pub(crate) type_uses: Vec<Named>,
     pub(crate) events: Vec<(Named, Option<Type>)>,
@@ -80,7 +80,7 @@ impl Chart {
 
     /// The names of the types that it declares.
     pub fn types(&self) -> impl Iterator<Item = &str> {
-        let types = self.declared.iter().filter(|(section, _)| *section == Section::Types);
+        let types = self.declared.iter().filter(|(section, _)| *section == HeadSection::Types);
         types.map(|(_, name)| name.text.as_str())
     }
 }

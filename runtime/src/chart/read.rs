@@ -10,7 +10,7 @@ use armarium_values::{Type, Unit};
 use super::catalog::ChannelDescription;
 use super::literals::{literal, negative_time};
 use super::model::{Chart, DeclaredChannel, WrittenKind};
-use super::symbols::Section;
+use super::symbols::HeadSection;
 use super::{foreign, forms};
 use crate::skill::{Limits, Parameter};
 
@@ -458,12 +458,15 @@ impl ChartReader<'_> {
 }
 
 /// The names that a chart's head gives.
-fn declared(entries: &Entries) -> Vec<(Section, Named)> {
-    let of = |section: Section| match get(entries, section.key()).map(|node| &node.value) {
+fn declared(entries: &Entries) -> Vec<(HeadSection, Named)> {
+    let of = |section: HeadSection| match get(entries, section.key()).map(|node| &node.value) {
         Some(Yaml::Map(names)) => names.iter().map(|(name, _)| (section, name.clone())).collect(),
         _ => Vec::new(),
     };
-    [Section::Inputs, Section::Outputs, Section::Locals, Section::Types].into_iter().flat_map(of).collect()
+    [HeadSection::Inputs, HeadSection::Outputs, HeadSection::Locals, HeadSection::Types]
+        .into_iter()
+        .flat_map(of)
+        .collect()
 }
 
 /// Where the defaults of inputs and locals stand.

@@ -14,7 +14,7 @@ use super::library::Library;
 use super::lint::raised;
 use super::model::{self, ActionKind, Chart, WrittenAction};
 use super::scoped::{can_end, reached};
-use super::symbols::Section;
+use super::symbols::HeadSection;
 use crate::program::{Kind, Pattern, Program, StateId};
 
 /// What is suspicious in charts that can be compiled.
@@ -330,7 +330,7 @@ fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, used: &'p Used) -> Vec<Fi
     found.defaults();
     for time in chart.inputs.iter().chain(&chart.locals).filter(|declared| declared.ty == Type::Duration) {
         if time.default.as_ref().and_then(Value::as_f64).is_some_and(|seconds| seconds < 0.0) {
-            let at = place_of(chart, &[Section::Inputs, Section::Locals], &time.name);
+            let at = place_of(chart, &[HeadSection::Inputs, HeadSection::Locals], &time.name);
             let message = format!("`{}` is a time and begins below 0", time.name);
             let help = Some("times are 0 or more".to_owned());
             found.findings.add(Severity::Warning, code::SUSPICIOUS, at, message, help);
@@ -338,7 +338,7 @@ fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, used: &'p Used) -> Vec<Fi
     }
     for output in &chart.outputs {
         if output.default.is_none() && !found.assigned.contains(&output.name) {
-            let at = place_of(chart, &[Section::Outputs], &output.name);
+            let at = place_of(chart, &[HeadSection::Outputs], &output.name);
             let message = format!("nothing sets the output `{}`", output.name);
             let help = format!("set it with `assign: {{outputs.{}: ...}}`, or remove it", output.name);
             found.findings.add(Severity::Warning, code::UNSET, at, message, Some(help));
@@ -352,8 +352,9 @@ fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, used: &'p Used) -> Vec<Fi
 }
 
 /// Where an input, local or output is declared.
-fn place_of(chart: &Chart, sections: &[Section], name: &str) -> Span {
-    let is_it = |(section, declared): &&(Section, Named)| sections.contains(section) && declared.text == name;
+fn place_of(chart: &Chart, sections: &[HeadSection], name: &str) -> Span {
+    let is_it =
+        |(section, declared): &&(HeadSection, Named)| sections.contains(section) && declared.text == name;
     chart.declared.iter().find(is_it).map_or_else(Span::default, |(_, at)| at.span)
 }
 
@@ -458,7 +459,7 @@ impl Written<'_> {
         self.findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
         let inner = meant[1..meant.len() - 1].to_owned();
         let known = |name: &str| {
-            let declared = |(section, at): &(Section, Named)| {
+            let declared = |(section, at): &(HeadSection, Named)| {
                 name.strip_prefix(section.key())
                     .and_then(|rest| rest.strip_prefix('.'))
                     .is_some_and(|rest| rest.split('.').next() == Some(&at.text))
@@ -486,8 +487,11 @@ impl Written<'_> {
         for declared in chart.inputs.iter().chain(&chart.locals).chain(&chart.outputs) {
             let text = declared.default.as_ref().and_then(Value::as_str);
             if let Some(text) = text.filter(|text| self.meant(text).is_some()) {
-                let at =
-                    place_of(chart, &[Section::Inputs, Section::Locals, Section::Outputs], &declared.name);
+                let at = place_of(
+                    chart,
+                    &[HeadSection::Inputs, HeadSection::Locals, HeadSection::Outputs],
+                    &declared.name,
+                );
                 let message = format!("the default of `{}` is the text `{text}`", declared.name);
                 let help =
                     "a default is no expression: set the value with `assign` where it is known".to_owned();

@@ -26,7 +26,7 @@ pub enum Symbol {
         /// The chart.
         chart: String,
         /// The section of the head.
-        section: Section,
+        section: HeadSection,
         /// Its name.
         name: String,
     },
@@ -83,7 +83,7 @@ pub enum Symbol {
 
 /// A section of a chart's head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Section {
+pub enum HeadSection {
     /// `inputs`.
     Inputs,
     /// `outputs`.
@@ -94,7 +94,7 @@ pub enum Section {
     Types,
 }
 
-impl Section {
+impl HeadSection {
     /// The section's key.
     #[must_use]
     pub fn key(self) -> &'static str {

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use futures::future::select_all;
 use tokio::sync::watch::Receiver;
 
-use crate::channels::{Channels, Demand, Sample};
+use crate::channels::{ChannelSample, Channels, Demand};
 
 #[derive(Debug)]
 struct Followed {
-    receiver: Receiver<Option<Sample>>,
+    receiver: Receiver<Option<ChannelSample>>,
     _demand: Demand,
 }
 

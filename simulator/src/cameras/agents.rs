@@ -10,7 +10,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{SimulatedCameras, StereoRig};
-use crate::render::{Scene, SensorNoise, render_pair};
+use crate::render::{SensorNoise, VisibleScene, render_pair};
 use crate::world::{AgentSpec, CameraSpec};
 
 /// The stereo pair of one agent.
@@ -63,7 +63,7 @@ impl AgentEyes {
     }
 
     /// Draws a frame of a scene and publishes it.
-    pub(crate) fn draw(&mut self, scene: &Scene, stamp_ns: u64) {
+    pub(crate) fn draw(&mut self, scene: &VisibleScene, stamp_ns: u64) {
         let drawn = render_pair(scene, &self.rig.left_and_right(self.scene_from_left));
         let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;

@@ -11,7 +11,7 @@ use crate::coach::CoachState;
 use crate::person;
 use crate::render::hand::{HandPose, hand_shapes};
 use crate::render::robot::{link_shapes, robot_shapes};
-use crate::render::{Bump, DirtTexture, Geometry, Scene, Shape};
+use crate::render::{Bump, DirtTexture, Shape, VisibleForm, VisibleScene};
 use crate::start::{self, RobotStart};
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::world::{CoverSpec, World};
@@ -112,7 +112,7 @@ impl Drawing {
     }
 
     /// All shapes at one instant.
-    pub(crate) fn scene(&mut self, view: &SceneState<'_>) -> Scene {
+    pub(crate) fn scene(&mut self, view: &SceneState<'_>) -> VisibleScene {
         self.update(view.robots);
         self.clean(view.wiped);
         let mut shapes: Vec<Shape> = Vec::new();
@@ -121,7 +121,7 @@ impl Drawing {
         }
         shapes.extend(self.fixed.iter().cloned());
         shapes.push(Shape {
-            geometry: Geometry::Tabletop {
+            geometry: VisibleForm::Tabletop {
                 half: self.table_half,
                 bumps: Arc::clone(&self.bumps),
                 dirt: Some(Arc::clone(&self.dirt)),
@@ -142,7 +142,7 @@ impl Drawing {
         if let Some(hand) = &view.coach.hand {
             shapes.extend(hand_shapes(&HandPose::of(hand.gesture), &hand.root_from_hand));
         }
-        Scene::new(shapes)
+        VisibleScene::new(shapes)
     }
 
     /// Removes the dirt where the table has been wiped.
@@ -167,7 +167,7 @@ fn legs(table: &TableTop) -> Vec<Shape> {
         let top = table.root_from_top() * corner;
         let half_length = (top.z / 2.0).max(0.01);
         legs.push(Shape {
-            geometry: Geometry::Cylinder { radius: 0.02, half_length },
+            geometry: VisibleForm::Cylinder { radius: 0.02, half_length },
             scene_from_shape: Isometry3::translation(top.x, top.y, half_length),
             color: [90, 90, 94],
         });
@@ -177,7 +177,7 @@ fn legs(table: &TableTop) -> Vec<Shape> {
 
 fn board(cover: &CoverSpec) -> Shape {
     Shape {
-        geometry: Geometry::Box { half: Vector3::from(cover.size) / 2.0 },
+        geometry: VisibleForm::Box { half: Vector3::from(cover.size) / 2.0 },
         scene_from_shape: cover.root_from_cover(),
         color: cover.color,
     }
@@ -189,9 +189,9 @@ fn tool(pose: &Isometry3<f64>, color: [u8; 3]) -> [Shape; 2] {
     let turn = UnitQuaternion::rotation_between(&Vector3::z(), &along).unwrap_or_default();
     let stick = Isometry3::from_parts((along * 0.13).into(), turn);
     [
-        Shape { geometry: Geometry::Box { half: TOOL_HALF }, scene_from_shape: *pose, color },
+        Shape { geometry: VisibleForm::Box { half: TOOL_HALF }, scene_from_shape: *pose, color },
         Shape {
-            geometry: Geometry::Cylinder { radius: 0.008, half_length: 0.12 },
+            geometry: VisibleForm::Cylinder { radius: 0.008, half_length: 0.12 },
             scene_from_shape: pose * stick,
             color: [72, 72, 78],
         },

@@ -26,7 +26,7 @@ use rand_distr::StandardNormal;
 use crate::coach::HandShown;
 use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
-    DepthSensor, Rendering, Scene, SensorNoise, Shape, Viewpoint, depth_of_shapes, render_pair,
+    DepthSensor, Rendering, SensorNoise, Shape, Viewpoint, VisibleScene, depth_of_shapes, render_pair,
 };
 use crate::start::RobotStart;
 use crate::truth::FrameTruth;
@@ -268,7 +268,12 @@ impl Eyes {
     }
 
     /// Draws a frame of a scene and publishes it. Returns the truth about it.
-    pub(crate) fn draw(&mut self, drawing: &Drawing, scene: &Scene, view: &SceneState<'_>) -> FrameTruth {
+    pub(crate) fn draw(
+        &mut self,
+        drawing: &Drawing,
+        scene: &VisibleScene,
+        view: &SceneState<'_>,
+    ) -> FrameTruth {
         let (drawn, truth) = self.paint(drawing, scene, view);
         let frame = self.sensed(view, drawn);
         self.rig.send(frame);
@@ -290,14 +295,14 @@ impl Eyes {
     pub(crate) fn paint(
         &self,
         drawing: &Drawing,
-        scene: &Scene,
+        scene: &VisibleScene,
         view: &SceneState<'_>,
     ) -> ([Rendering; 2], FrameTruth) {
         let true_left = drawing.link(self.robot, self.left);
         let [left, right] = self.rig.left_and_right(true_left * self.believed_from_true);
         let drawn = render_pair(scene, &[left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
-            let alone = Scene::new(skin(&hand));
+            let alone = VisibleScene::new(skin(&hand));
             [left, right]
                 .iter()
                 .zip(&drawn)

@@ -2,7 +2,7 @@
 //!
 //! An arm without a sensor has a hand, too; then nobody reads what is felt at its TCP.
 
-use armarium_robot::{Limb, LinkId, Model, Wrench};
+use armarium_robot::{ForceTorque, Limb, LinkId, Model};
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
@@ -95,7 +95,7 @@ impl Hand {
     }
 
     /// What the hand exerts on its sensor.
-    pub(super) fn wrench(&self) -> Wrench {
+    pub(super) fn wrench(&self) -> ForceTorque {
         self.wrench.reading()
     }
 

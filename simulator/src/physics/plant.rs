@@ -15,7 +15,7 @@
 //! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
 //! - The wrist sensors are exact here (see [`wrench`](super::wrench)); noise is added in the sensing.
 
-use armarium_robot::Wrench;
+use armarium_robot::ForceTorque;
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::parry::query;
 use rapier3d_f64::prelude as rapier;
@@ -29,7 +29,7 @@ use super::people::PersonBodies;
 use super::robot::{ArmWithHand, PaddedHand, PlantRobot};
 use super::wrench::Momentum;
 use crate::error::PlantError;
-use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
+use crate::foundation::{ElasticFoundation, FoundationReaction, RigidMotion};
 use crate::person::Posture;
 use crate::start::{self, RobotStart};
 use crate::table::TableTop;
@@ -188,12 +188,12 @@ impl Plant {
 
     /// What a robot's hands exert on its wrench sensors in the last step, without noise, in the order of the model's: sensor's
     /// frame, about its origin. A sensor of no arm feels nothing.
-    pub fn wrenches(&self, robot: usize) -> impl Iterator<Item = Wrench> + '_ {
+    pub fn wrenches(&self, robot: usize) -> impl Iterator<Item = ForceTorque> + '_ {
         self.robots[robot].wrenches()
     }
 
     /// What the hand of a robot's arm that works exerts on its wrench sensor.
-    pub fn wrench(&self, robot: usize) -> Wrench {
+    pub fn wrench(&self, robot: usize) -> ForceTorque {
         self.robots[robot].hand().wrench()
     }
 
@@ -277,7 +277,7 @@ impl Plant {
             body.reset_forces(false);
             body.reset_torques(false);
             if let Some(foundation) = &mut object.foundation {
-                let motion = Motion {
+                let motion = RigidMotion {
                     root_from_object: convert::to_pose(body.position()),
                     linear: convert::to_vector(body.linvel()),
                     angular: convert::to_vector(body.angvel()),

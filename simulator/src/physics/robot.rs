@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Limb, Model, Wrench};
+use armarium_robot::{ForceTorque, Limb, Model};
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::ColliderHandle;
@@ -153,10 +153,10 @@ impl PlantRobot {
     }
 
     /// What its hands exert on its wrench sensors, in the order of the model's. A sensor of no arm feels nothing.
-    pub(super) fn wrenches(&self) -> impl Iterator<Item = Wrench> + '_ {
+    pub(super) fn wrenches(&self) -> impl Iterator<Item = ForceTorque> + '_ {
         (0..self.model.wrenches().len()).map(|sensor| {
             let arm = self.arms.iter().find(|arm| arm.sensor == Some(sensor));
-            arm.map_or_else(Wrench::default, |arm| arm.hand.wrench())
+            arm.map_or_else(ForceTorque::default, |arm| arm.hand.wrench())
         })
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, Model, Wrench};
+use armarium_robot::{ForceTorque, Kinematics, Model};
 use nalgebra::{Isometry3, Vector3};
 
 use super::{DT, External, Plant};
@@ -79,7 +79,7 @@ fn a_hanging_hand_reads_its_weight() {
     let q = start(&model);
     let mut plant = plant_of(&model, &free(), &q);
     hold(&mut plant, 100, &External::default());
-    let Wrench { force, torque } = plant.wrench(0);
+    let ForceTorque { force, torque } = plant.wrench(0);
     let pose = sensor_pose(&model, &plant);
     let weight = hand_mass(&model) * GRAVITY;
     assert!((pose.rotation * force + Vector3::z() * weight).norm() < 1e-6, "{force}");
@@ -102,10 +102,10 @@ fn a_push_reads_its_force_and_its_torque() {
     let q = start(&model);
     let mut plant = plant_of(&model, &free(), &q);
     hold(&mut plant, 300, &External::default());
-    let Wrench { force: force_before, torque: torque_before } = plant.wrench(0);
+    let ForceTorque { force: force_before, torque: torque_before } = plant.wrench(0);
     let push = Vector3::new(6.0, 0.0, 8.0);
     hold(&mut plant, 500, &External { hand: push, objects: vec![] });
-    let Wrench { force, torque } = plant.wrench(0);
+    let ForceTorque { force, torque } = plant.wrench(0);
     let pose = sensor_pose(&model, &plant);
     assert!((pose.rotation * (force - force_before) - push).norm() < 0.01, "{force}");
     let arm = plant.tcp(0).translation.vector - pose.translation.vector;

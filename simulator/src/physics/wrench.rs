@@ -4,7 +4,7 @@
 //! simulated motion: the sensor exerts `dP/dt - weight - external forces`, and the hand exerts the opposite on the
 //! sensor. It is exact for the simulated motion, whatever the solver does internally. Noise is not added here.
 
-use armarium_robot::Wrench;
+use armarium_robot::ForceTorque;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rapier3d_f64::prelude::RigidBody;
 
@@ -82,7 +82,7 @@ pub(super) struct WristWrench {
     objects_before: Vec<Momentum>,
     /// Whether the bodies of the hand are others than in the step before, whose momenta are unknown then.
     renewed: bool,
-    reading: Wrench,
+    reading: ForceTorque,
 }
 
 impl WristWrench {
@@ -94,7 +94,7 @@ impl WristWrench {
             fingers_before: vec![Momentum::default(); wrist.fingers.len()],
             objects_before: vec![Momentum::default(); objects],
             renewed: false,
-            reading: Wrench::default(),
+            reading: ForceTorque::default(),
         }
     }
 
@@ -104,7 +104,7 @@ impl WristWrench {
         *self = Self { reading, objects_before, renewed: true, ..Self::new(wrist, 0) };
     }
 
-    pub(super) fn reading(&self) -> Wrench {
+    pub(super) fn reading(&self) -> ForceTorque {
         self.reading
     }
 

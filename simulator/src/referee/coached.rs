@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Mark;
+use super::Milestone;
 use super::log::Record;
 use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
 use super::probes::{Probe, cell, figure, of_each, table_of, things};
@@ -198,7 +198,7 @@ impl Run<'_> {
     /// Only the time since the motion reached its own speed counts: after its start and after the coach was last
     /// there.
     fn before(&self, began: u64) -> Option<(Period, f64)> {
-        let started = self.marked(|m| *m == Mark::WipingStarted).map_or(0, |(at, _)| at);
+        let started = self.marked(|m| *m == Milestone::WipingStarted).map_or(0, |(at, _)| at);
         let ends = self.log.coach.iter().filter(|e| e.event == EventKind::Ended).map(|e| ns(e.t));
         let disturbed = ends.filter(|t| *t < began).max().unwrap_or(0).max(started);
         let from = (disturbed + ns(RECOVERY_S)).max(began.saturating_sub(ns(12.0)));

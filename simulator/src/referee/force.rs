@@ -6,7 +6,7 @@ use armarium_values::report::{Band, Block, Figure, Section, Series, TimePlot};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Mark;
+use super::Milestone;
 use super::paths::{positions, repeat_period};
 use super::probes::{Probe, figure};
 use super::run::{Run, name, seconds};
@@ -65,8 +65,8 @@ fn asks(own: &Value) -> Vec<Figure> {
 
 /// Five periods of the executed motion from the end of adaptation, or fewer if the coach acts before.
 fn force(run: &Run<'_>) -> Option<ForceFigures> {
-    let (ended, mark) = run.marked(|m| matches!(m, Mark::AdaptationEnded { .. }))?;
-    let Mark::AdaptationEnded { desired_n, cycles } = mark else { return None };
+    let (ended, mark) = run.marked(|m| matches!(m, Milestone::AdaptationEnded { .. }))?;
+    let Milestone::AdaptationEnded { desired_n, cycles } = mark else { return None };
     let until = run.coaching_ns().max(ended);
     let after = run.log.between(ended, until);
     let period_s = repeat_period(&positions(&after[..after.len().min(15_000)]))?;
@@ -86,7 +86,7 @@ fn force(run: &Run<'_>) -> Option<ForceFigures> {
 }
 
 fn touchdown(run: &Run<'_>, ended: u64) -> f64 {
-    let started = run.time_of(|m| *m == Mark::AdaptationStarted).unwrap_or(0);
+    let started = run.time_of(|m| *m == Milestone::AdaptationStarted).unwrap_or(0);
     let adapting = run.log.between(started.min(ended), ended);
     let touched = adapting.iter().position(|r| r.normal > LOST_N).unwrap_or(adapting.len());
     adapting[touched..].iter().take((TOUCHDOWN_S * 1e3) as usize).map(|r| r.normal).fold(0.0, f64::max)
@@ -94,10 +94,10 @@ fn touchdown(run: &Run<'_>, ended: u64) -> f64 {
 
 /// The true contact force from touchdown on, and the times at which the coach acted.
 fn plot(run: &Run<'_>) -> Option<TimePlot> {
-    let from = run.time_of(|m| *m == Mark::AdaptationStarted)?;
-    let adapted = run.marked(|m| matches!(m, Mark::AdaptationEnded { .. }));
+    let from = run.time_of(|m| *m == Milestone::AdaptationStarted)?;
+    let adapted = run.marked(|m| matches!(m, Milestone::AdaptationEnded { .. }));
     let wanted = adapted.and_then(|(t, mark)| match mark {
-        Mark::AdaptationEnded { desired_n, .. } => Some((t, desired_n)),
+        Milestone::AdaptationEnded { desired_n, .. } => Some((t, desired_n)),
         _ => None,
     });
     let records = run.log.between(from, u64::MAX);

@@ -4,7 +4,7 @@ use armarium_values::report::Requirement::AtMost;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Mark;
+use super::Milestone;
 use super::probes::{Probe, figure};
 use super::run::Run;
 
@@ -27,7 +27,7 @@ struct GraspFigures {
 
 /// Of the object in the hand when it closed last; of the one in question if there was none in it.
 fn grasp(run: &Run<'_>) -> Option<GraspFigures> {
-    let record = run.log.at(run.time_of(|m| *m == Mark::GraspClosed)?)?;
+    let record = run.log.at(run.time_of(|m| *m == Milestone::GraspClosed)?)?;
     let (object, pose) = record.object?;
     let in_tcp = record.tcp.inverse() * pose;
     let off = in_tcp.translation.vector - run.world.grasp_in_tcp();

@@ -5,7 +5,7 @@ use armarium_values::report::{Block, Figure, Path, PathStyle, Plan, Section};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Mark;
+use super::Milestone;
 use super::log::Record;
 use super::paths::{distance_to_coach, mean_period, positions, repeat_period};
 use super::probes::{Probe, figure};
@@ -53,11 +53,11 @@ fn asks(own: &Value) -> Vec<Figure> {
     figures
 }
 
-/// From the steady part of the free-space motion (from [`Mark::FreeSpaceSteady`], else from the end of
+/// From the steady part of the free-space motion (from [`Milestone::FreeSpaceSteady`], else from the end of
 /// learning) until adaptation starts. The path is the last whole period.
 fn imitation(run: &Run<'_>) -> Option<ImitationFigures> {
-    let learned = run.time_of(|m| *m == Mark::LearningEnded)?;
-    let steady = run.time_of(|m| *m == Mark::FreeSpaceSteady).unwrap_or(learned);
+    let learned = run.time_of(|m| *m == Milestone::LearningEnded)?;
+    let steady = run.time_of(|m| *m == Milestone::FreeSpaceSteady).unwrap_or(learned);
     let until = run.lowered_after(learned).unwrap_or(run.end_ns());
     let path = positions(run.log.between(steady.max(learned), until));
     let period_s = repeat_period(&path)?;
@@ -87,10 +87,10 @@ fn paths(run: &Run<'_>) -> Vec<Path> {
         let records = log.between(from, to).iter().step_by(STRIDE);
         records.map(|r| [r.tcp.translation.x, r.tcp.translation.y]).collect()
     };
-    let learned = run.time_of(|m| *m == Mark::LearningEnded).unwrap_or(end);
+    let learned = run.time_of(|m| *m == Milestone::LearningEnded).unwrap_or(end);
     let tool = demonstrated(&CoachPath::new(shown), log.between(0, learned.max(1)));
     add("demonstrated by the coach".into(), PathStyle::Reference, tool);
-    if let Some(steady) = run.time_of(|m| *m == Mark::FreeSpaceSteady) {
+    if let Some(steady) = run.time_of(|m| *m == Milestone::FreeSpaceSteady) {
         add("performed in free space".into(), PathStyle::Line, performed(steady, steady + period));
     }
     let Some(adapted) = run.adapted() else { return paths };

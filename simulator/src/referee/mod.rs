@@ -36,7 +36,7 @@ use crate::world::World;
 /// The progress of skills, from the marks in their manifests. If a mark is set several times, the last one counts.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Mark {
+pub enum Milestone {
     /// The hand has finished closing, and the program assumes that it holds the object.
     GraspClosed,
     /// Learning from the demonstration has ended; from here on the robot performs the motion in free space.
@@ -56,7 +56,7 @@ pub enum Mark {
     WipingStarted,
 }
 
-impl Mark {
+impl Milestone {
     /// The mark of that name with its numbers, as a skill declares it; `None` if this referee does not know it.
     pub fn named(name: &str, numbers: &BTreeMap<String, f64>) -> Option<Self> {
         let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
@@ -84,7 +84,7 @@ pub struct Referee {
 struct Notes {
     world: World,
     log: TruthLog,
-    marks: Vec<(u64, Mark)>,
+    marks: Vec<(u64, Milestone)>,
     seen: Vec<(u64, Option<String>)>,
 }
 
@@ -98,7 +98,7 @@ impl Notes {
 pub fn measure(
     world: &World,
     log: &TruthLog,
-    marks: &[(u64, Mark)],
+    marks: &[(u64, Milestone)],
     seen: &[(u64, Option<String>)],
 ) -> Map<String, Value> {
     probes::measure(&Run::new(world, log, marks, seen))
@@ -117,7 +117,7 @@ impl Referee {
     }
 
     /// Records a mark of the program at `stamp_ns` of the robot's time.
-    pub fn mark(&self, mark: Mark, stamp_ns: u64) {
+    pub fn mark(&self, mark: Milestone, stamp_ns: u64) {
         let mut notes = self.notes();
         if notes.marks.len() < 10_000 {
             notes.marks.push((stamp_ns, mark));
@@ -164,7 +164,7 @@ impl Referee {
     }
 
     /// The marks so far, with their times, ns.
-    pub fn marks(&self) -> Vec<(u64, Mark)> {
+    pub fn marks(&self) -> Vec<(u64, Milestone)> {
         self.notes().marks.clone()
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Mark;
+use super::Milestone;
 use super::log::TruthLog;
 use crate::coach::{ActionEvent, CoachPath, EventKind};
 use crate::world::World;
@@ -11,7 +11,7 @@ use crate::world::World;
 pub(super) struct Run<'a> {
     pub(super) world: &'a World,
     pub(super) log: &'a TruthLog,
-    marks: &'a [(u64, Mark)],
+    marks: &'a [(u64, Milestone)],
     /// What vision recognised in a frame, by the frame's time.
     pub(super) seen: BTreeMap<u64, Option<&'a str>>,
     /// The path that the coach shows.
@@ -22,7 +22,7 @@ impl<'a> Run<'a> {
     pub(super) fn new(
         world: &'a World,
         log: &'a TruthLog,
-        marks: &'a [(u64, Mark)],
+        marks: &'a [(u64, Milestone)],
         seen: &'a [(u64, Option<String>)],
     ) -> Self {
         let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
@@ -31,24 +31,24 @@ impl<'a> Run<'a> {
     }
 
     /// The last mark for which `test` is true.
-    pub(super) fn marked(&self, test: impl Fn(&Mark) -> bool) -> Option<(u64, Mark)> {
+    pub(super) fn marked(&self, test: impl Fn(&Milestone) -> bool) -> Option<(u64, Milestone)> {
         self.marks.iter().rev().find(|(_, m)| test(m)).copied()
     }
 
     /// The time of that mark, ns.
-    pub(super) fn time_of(&self, test: impl Fn(&Mark) -> bool) -> Option<u64> {
+    pub(super) fn time_of(&self, test: impl Fn(&Milestone) -> bool) -> Option<u64> {
         self.marked(test).map(|(at, _)| at)
     }
 
     /// When adaptation ended, ns.
     pub(super) fn adapted(&self) -> Option<u64> {
-        self.time_of(|m| matches!(m, Mark::AdaptationEnded { .. }))
+        self.time_of(|m| matches!(m, Milestone::AdaptationEnded { .. }))
     }
 
     /// When the robot left free space for the first time after `from`, ns.
     pub(super) fn lowered_after(&self, from: u64) -> Option<u64> {
         let mut marks = self.marks.iter();
-        marks.find(|(at, m)| *m == Mark::AdaptationStarted && *at > from).map(|(at, _)| *at)
+        marks.find(|(at, m)| *m == Milestone::AdaptationStarted && *at > from).map(|(at, _)| *at)
     }
 
     pub(super) fn end_ns(&self) -> u64 {
@@ -69,7 +69,7 @@ impl<'a> Run<'a> {
     /// The object that is judged, by its index among the world's bodies: the one in the hand when it closed last; where nothing
     /// was marked so, the one in question at the end.
     pub(super) fn judged_object(&self) -> Option<usize> {
-        let closed = self.time_of(|mark| *mark == Mark::GraspClosed);
+        let closed = self.time_of(|mark| *mark == Milestone::GraspClosed);
         let record = closed.map_or(self.log.records.last(), |at| self.log.at(at));
         Some(record?.object?.0)
     }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::*;
 use crate::coach::{ActionEvent, ActionKind, CoachPath, EventKind, wrap};
 
-fn compute(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Value {
+fn compute(world: &World, log: &TruthLog, marks: &[(u64, Milestone)]) -> Value {
     measure(world, log, marks, &[]).into()
 }
 
@@ -49,13 +49,13 @@ fn run(seconds: f64, force: impl Fn(f64) -> f64, shift: impl Fn(f64, f64) -> f64
     (world, log)
 }
 
-fn marks(free: u64, adapted: u64) -> Vec<(u64, Mark)> {
+fn marks(free: u64, adapted: u64) -> Vec<(u64, Milestone)> {
     let s = 1_000_000_000;
     vec![
-        (s, Mark::GraspClosed),
-        (s, Mark::LearningEnded),
-        (free * s, Mark::AdaptationStarted),
-        (adapted * s, Mark::AdaptationEnded { desired_n: 8.0, cycles: 4 }),
+        (s, Milestone::GraspClosed),
+        (s, Milestone::LearningEnded),
+        (free * s, Milestone::AdaptationStarted),
+        (adapted * s, Milestone::AdaptationEnded { desired_n: 8.0, cycles: 4 }),
     ]
 }
 

@@ -7,7 +7,7 @@
 use armarium_visionx::Gesture;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::scene::{Geometry, Shape};
+use super::scene::{Shape, VisibleForm};
 
 /// Mean colour of the skin, RGB; the parts differ from it by a few percent in brightness.
 pub const SKIN: [u8; 3] = [224, 172, 138];
@@ -196,7 +196,7 @@ fn palm() -> Vec<Segment> {
 /// The body that fills the gaps between the metacarpals.
 fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
     let half = Vector3::new(0.0128, 0.0235, 0.042);
-    Shape { geometry: Geometry::Box { half }, scene_from_shape: *scene_from_hand, color: SKIN }
+    Shape { geometry: VisibleForm::Box { half }, scene_from_shape: *scene_from_hand, color: SKIN }
 }
 
 /// Wrist and sleeve.
@@ -207,7 +207,7 @@ fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
         [-0.0095, 0.0095].iter().map(|&y| wrist(y).shape(tinted(SKIN, 0.97, 0.0), scene_from_hand)).collect();
     let middle = Isometry3::translation(0.0, 0.0, -0.26);
     shapes.push(Shape {
-        geometry: Geometry::Cylinder { radius: 0.043, half_length: 0.16 },
+        geometry: VisibleForm::Cylinder { radius: 0.043, half_length: 0.16 },
         scene_from_shape: scene_from_hand * middle,
         color: SLEEVE,
     });
@@ -223,7 +223,7 @@ impl Segment {
         let middle = Translation3::from(self.from.coords + along / 2.0);
         let hand_from_shape = Isometry3::from_parts(middle, UnitQuaternion::from_rotation_matrix(&turn));
         Shape {
-            geometry: Geometry::Capsule { radius: self.radius, half_length: along.norm() / 2.0 },
+            geometry: VisibleForm::Capsule { radius: self.radius, half_length: along.norm() / 2.0 },
             scene_from_shape: scene_from_hand * hand_from_shape,
             color,
         }
@@ -239,7 +239,7 @@ fn tinted(color: [u8; 3], brightness: f64, redness: f64) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Scene, Viewpoint, render};
+    use super::super::{Viewpoint, VisibleScene, render};
     use super::*;
     use armarium_visionx::PinholeCamera;
 
@@ -290,7 +290,7 @@ mod tests {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
         let scene_from_hand = Isometry3::from_parts(Translation3::new(0.0, 0.0, 1.0), turn);
         for (gesture, straight) in [(Gesture::OpenHand, 1..5), (Gesture::PointTwo, 1..3)] {
-            let scene = Scene::new(hand_shapes(&HandPose::of(gesture), &scene_from_hand));
+            let scene = VisibleScene::new(hand_shapes(&HandPose::of(gesture), &scene_from_hand));
             let seen = render(&scene, &viewpoint);
             let tips = fingertips(&HandPose::of(gesture));
             for finger in straight {

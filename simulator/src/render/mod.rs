@@ -1,6 +1,6 @@
 //! The simulated cameras: a software renderer for simple solids, in colour and depth.
 //!
-//! [`render`] draws a [`Scene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
+//! [`render`] draws a [`VisibleScene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
 //! [`SensorNoise`] adds the sensor's noise. [`hand`] is the coach's hand, [`robot`] the robot.
 //!
 //! The renderer has no physics, no time and no random source: the same scene gives the same bytes. It does not draw
@@ -28,7 +28,7 @@ use nalgebra::{Isometry3, Vector3};
 pub use depth::DepthSensor;
 pub use noise::SensorNoise;
 use raster::Canvas;
-pub use scene::{Background, Bump, DirtTexture, Geometry, Rendering, Scene, Shape, Viewpoint};
+pub use scene::{Background, Bump, DirtTexture, Rendering, Shape, Viewpoint, VisibleForm, VisibleScene};
 use shading::{Light, Shades};
 use shadow::Shadow;
 
@@ -41,18 +41,18 @@ const MAX_PIXELS: u64 = 1 << 27;
 /// are not finite, or if it is outside the room and looks away from everything. For a camera of more than 2^27
 /// pixels, the picture has no pixels. Shapes with a size or pose that is not finite are left out, as is everything
 /// nearer than 1 cm or behind the camera.
-pub fn render(scene: &Scene, viewpoint: &Viewpoint) -> Rendering {
+pub fn render(scene: &VisibleScene, viewpoint: &Viewpoint) -> Rendering {
     draw(scene, &shadows(scene), viewpoint, true)
 }
 
 /// The depth of a scene's shapes without the room and without tabletops: 0 where there is none.
-pub fn depth_of_shapes(scene: &Scene, viewpoint: &Viewpoint) -> DepthImage {
+pub fn depth_of_shapes(scene: &VisibleScene, viewpoint: &Viewpoint) -> DepthImage {
     let shadows: Vec<_> = scene.shapes.iter().map(|_| None).collect();
     draw(scene, &shadows, viewpoint, false).depth
 }
 
 /// Draws a scene from two viewpoints, each on its own thread. The results are the same as those of [`render`].
-pub fn render_pair(scene: &Scene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
+pub fn render_pair(scene: &VisibleScene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
     let shadows = shadows(scene);
     std::thread::scope(|scope| {
         let right = scope.spawn(|| draw(scene, &shadows, right, true));
@@ -63,13 +63,14 @@ pub fn render_pair(scene: &Scene, [left, right]: &[Viewpoint; 2]) -> [Rendering;
 }
 
 /// The shadows on each tabletop, by the index of its shape.
-fn shadows(scene: &Scene) -> Vec<Option<Shadow>> {
-    let is_table = |shape: &Shape| matches!(shape.geometry, Geometry::Tabletop { .. }) && is_drawable(shape);
+fn shadows(scene: &VisibleScene) -> Vec<Option<Shadow>> {
+    let is_table =
+        |shape: &Shape| matches!(shape.geometry, VisibleForm::Tabletop { .. }) && is_drawable(shape);
     let indexed = scene.shapes.iter().enumerate();
     indexed.map(|(i, shape)| is_table(shape).then(|| Shadow::on(scene, i))).collect()
 }
 
-fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint, room: bool) -> Rendering {
+fn draw(scene: &VisibleScene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint, room: bool) -> Rendering {
     let mut camera = viewpoint.camera;
     if u64::from(camera.width) * u64::from(camera.height) > MAX_PIXELS {
         (camera.width, camera.height) = (0, 0);
@@ -92,12 +93,12 @@ fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint, room: 
 
 /// The shapes that can be drawn: the nearest first, so that few pixels are painted twice; tabletops last, as they
 /// are large.
-fn nearest_first(scene: &Scene, camera_from_scene: &Isometry3<f64>) -> Vec<usize> {
+fn nearest_first(scene: &VisibleScene, camera_from_scene: &Isometry3<f64>) -> Vec<usize> {
     let key = |index: &usize| {
         let shape = &scene.shapes[*index];
         let center = camera_from_scene * shape.scene_from_shape.translation.vector;
         let distance = (camera_from_scene.translation.vector + center).norm() - reach(&shape.geometry);
-        (matches!(shape.geometry, Geometry::Tabletop { .. }), distance)
+        (matches!(shape.geometry, VisibleForm::Tabletop { .. }), distance)
     };
     let mut order: Vec<_> = (0..scene.shapes.len()).filter(|&i| is_drawable(&scene.shapes[i])).collect();
     order.sort_by(|a, b| {
@@ -118,18 +119,18 @@ fn draw_shape(
     let shades = Shades::new(shape.color);
     let axial = |radius: f64, half_length: f64| solids::Axial { radius, half_length, camera_from_shape };
     match &shape.geometry {
-        Geometry::Box { half } => faces::cuboid(canvas, &camera_from_shape, half, light, &shades),
-        Geometry::Sphere { radius } => {
+        VisibleForm::Box { half } => faces::cuboid(canvas, &camera_from_shape, half, light, &shades),
+        VisibleForm::Sphere { radius } => {
             solids::ball(canvas, &camera_from_shape.translation.vector, *radius, light, &shades);
         }
-        Geometry::Cylinder { radius, half_length } => {
+        VisibleForm::Cylinder { radius, half_length } => {
             solids::cylinder(canvas, &axial(*radius, *half_length), light, &shades);
         }
-        Geometry::Capsule { radius, half_length } => {
+        VisibleForm::Capsule { radius, half_length } => {
             solids::capsule(canvas, &axial(*radius, *half_length), light, &shades);
         }
-        Geometry::Mesh { mesh } => faces::mesh(canvas, &camera_from_shape, mesh, light, &shades),
-        Geometry::Tabletop { half, bumps, dirt } => {
+        VisibleForm::Mesh { mesh } => faces::mesh(canvas, &camera_from_shape, mesh, light, &shades),
+        VisibleForm::Tabletop { half, bumps, dirt } => {
             let Some(shadow) = shadow else { return };
             let table =
                 tabletop::Tabletop { camera_from_shape, half: *half, bumps, dirt: dirt.as_deref(), shadow };
@@ -139,14 +140,14 @@ fn draw_shape(
 }
 
 /// Largest distance of a form's points from its centre, m.
-fn reach(geometry: &Geometry) -> f64 {
+fn reach(geometry: &VisibleForm) -> f64 {
     match geometry {
-        Geometry::Box { half } | Geometry::Tabletop { half, .. } => half.norm(),
-        Geometry::Sphere { radius } => *radius,
-        Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => {
+        VisibleForm::Box { half } | VisibleForm::Tabletop { half, .. } => half.norm(),
+        VisibleForm::Sphere { radius } => *radius,
+        VisibleForm::Cylinder { radius, half_length } | VisibleForm::Capsule { radius, half_length } => {
             radius + half_length
         }
-        Geometry::Mesh { mesh } => mesh
+        VisibleForm::Mesh { mesh } => mesh
             .bounds()
             .iter()
             .map(|corner| corner.coords.abs())
@@ -158,11 +159,11 @@ fn reach(geometry: &Geometry) -> f64 {
 fn is_drawable(shape: &Shape) -> bool {
     let positive = |half: &Vector3<f64>| half.iter().all(|v| *v > 0.0);
     let sound = match &shape.geometry {
-        Geometry::Box { half } | Geometry::Tabletop { half, .. } => positive(half),
-        Geometry::Sphere { radius } => *radius > 0.0,
-        Geometry::Cylinder { radius, half_length } => *radius > 0.0 && *half_length > 0.0,
-        Geometry::Capsule { radius, half_length } => *radius > 0.0 && *half_length >= 0.0,
-        Geometry::Mesh { .. } => true,
+        VisibleForm::Box { half } | VisibleForm::Tabletop { half, .. } => positive(half),
+        VisibleForm::Sphere { radius } => *radius > 0.0,
+        VisibleForm::Cylinder { radius, half_length } => *radius > 0.0 && *half_length > 0.0,
+        VisibleForm::Capsule { radius, half_length } => *radius > 0.0 && *half_length >= 0.0,
+        VisibleForm::Mesh { .. } => true,
     };
     sound && reach(&shape.geometry).is_finite() && is_finite(&shape.scene_from_shape)
 }

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Geometry as Form, Kinematics, Visual};
+use armarium_robot::{Geometry, Kinematics, Visual};
 use nalgebra::Isometry3;
 
-use super::scene::{Geometry, Shape};
+use super::scene::{Shape, VisibleForm};
 
 /// All links of a robot at the configuration of `kinematics`, with its root at `scene_from_root`.
 pub fn robot_shapes(kinematics: &Kinematics, scene_from_root: &Isometry3<f64>) -> Vec<Shape> {
@@ -26,13 +26,13 @@ pub fn link_shapes(visuals: &[Visual], scene_from_link: &Isometry3<f64>) -> Vec<
     visuals.iter().map(shape).collect()
 }
 
-fn geometry(form: &Form) -> Geometry {
+fn geometry(form: &Geometry) -> VisibleForm {
     match *form {
-        Form::Box { size } => Geometry::Box { half: size / 2.0 },
-        Form::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
-        Form::Sphere { radius } => Geometry::Sphere { radius },
-        Form::Mesh(ref mesh) => Geometry::Mesh { mesh: Arc::clone(mesh) },
-        Form::Capsule { radius, length } => Geometry::Capsule { radius, half_length: length / 2.0 },
+        Geometry::Box { size } => VisibleForm::Box { half: size / 2.0 },
+        Geometry::Cylinder { radius, length } => VisibleForm::Cylinder { radius, half_length: length / 2.0 },
+        Geometry::Sphere { radius } => VisibleForm::Sphere { radius },
+        Geometry::Mesh(ref mesh) => VisibleForm::Mesh { mesh: Arc::clone(mesh) },
+        Geometry::Capsule { radius, length } => VisibleForm::Capsule { radius, half_length: length / 2.0 },
     }
 }
 

@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Vector3};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
     /// Its form, centred on the shape's own frame.
-    pub geometry: Geometry,
+    pub geometry: VisibleForm,
     /// Its pose.
     pub scene_from_shape: Isometry3<f64>,
     /// Its colour in full light, RGB.
@@ -22,7 +22,7 @@ pub struct Shape {
 
 /// The forms. Sizes that are not positive and finite draw nothing.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Geometry {
+pub enum VisibleForm {
     /// A cuboid.
     Box {
         /// Half its edges, m.
@@ -102,7 +102,7 @@ pub struct Background {
 
 /// Everything that is visible at one instant.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Scene {
+pub struct VisibleScene {
     /// The solids, in any order.
     pub shapes: Vec<Shape>,
     /// The room.
@@ -174,7 +174,7 @@ impl Default for Background {
     }
 }
 
-impl Scene {
+impl VisibleScene {
     /// Shapes in the default room, lit from above, behind and to the left.
     pub fn new(shapes: Vec<Shape>) -> Self {
         Self { shapes, background: Background::default(), light: Vector3::new(-0.35, -0.3, 0.9) }

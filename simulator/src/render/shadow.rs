@@ -6,7 +6,7 @@
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
 use super::raster::{Lanes, lanes, nearest};
-use super::scene::{Geometry, Scene, Shape};
+use super::scene::{Shape, VisibleForm, VisibleScene};
 
 /// Edge of a cell, m.
 const CELL: f64 = 0.01;
@@ -42,9 +42,11 @@ enum Outline {
 
 impl Shadow {
     /// The shadow of all other shapes on the tabletop at index `table`.
-    pub(super) fn on(scene: &Scene, table: usize) -> Self {
+    pub(super) fn on(scene: &VisibleScene, table: usize) -> Self {
         let Some(shape) = scene.shapes.get(table) else { return Self::none(&Vector3::zeros()) };
-        let Geometry::Tabletop { half, .. } = &shape.geometry else { return Self::none(&Vector3::zeros()) };
+        let VisibleForm::Tabletop { half, .. } = &shape.geometry else {
+            return Self::none(&Vector3::zeros());
+        };
         let mut shadow = Self::none(half);
         let table_from_scene = shape.scene_from_shape.inverse();
         let light = table_from_scene.rotation * scene.light;
@@ -134,7 +136,7 @@ impl Shadow {
 
 /// The outline of a shape's shadow on the plane z = `top`, and the height of the shape's lowest point over it.
 fn outline(
-    geometry: &Geometry,
+    geometry: &VisibleForm,
     table_from_shape: &Isometry3<f64>,
     slant: &Vector3<f64>,
     top: f64,
@@ -147,15 +149,15 @@ fn outline(
             .then(|| (Outline::Stroke { from: cast(&ends[0]), to: cast(&ends[1]), radius }, height))
     };
     match geometry {
-        Geometry::Sphere { radius } => stroke(0.0, *radius),
-        Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => {
+        VisibleForm::Sphere { radius } => stroke(0.0, *radius),
+        VisibleForm::Cylinder { radius, half_length } | VisibleForm::Capsule { radius, half_length } => {
             stroke(*half_length, *radius)
         }
-        Geometry::Box { .. } | Geometry::Mesh { .. } => {
+        VisibleForm::Box { .. } | VisibleForm::Mesh { .. } => {
             // A mesh casts the shadow of the box around it.
             let (middle, half) = match geometry {
-                Geometry::Box { half } => (Point3::origin(), *half),
-                Geometry::Mesh { mesh } => mesh.surrounding_box(),
+                VisibleForm::Box { half } => (Point3::origin(), *half),
+                VisibleForm::Mesh { mesh } => mesh.surrounding_box(),
                 _ => return None,
             };
             let corners: [_; 8] = std::array::from_fn(|i| {
@@ -170,7 +172,7 @@ fn outline(
             (high > 0.0)
                 .then(|| (Outline::Polygon(convex_hull(corners.iter().map(raised).collect())), low.max(0.0)))
         }
-        Geometry::Tabletop { .. } => None,
+        VisibleForm::Tabletop { .. } => None,
     }
 }
 

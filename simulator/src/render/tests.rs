@@ -19,21 +19,21 @@ fn ahead() -> Viewpoint {
     Viewpoint::look_at(CAMERA, Vector3::zeros(), Vector3::y())
 }
 
-fn shape(geometry: Geometry, scene_from_shape: Isometry3<f64>, color: [u8; 3]) -> Shape {
+fn shape(geometry: VisibleForm, scene_from_shape: Isometry3<f64>, color: [u8; 3]) -> Shape {
     Shape { geometry, scene_from_shape, color }
 }
 
 fn ball(center: [f64; 3], radius: f64, color: [u8; 3]) -> Shape {
     shape(
-        Geometry::Sphere { radius },
+        VisibleForm::Sphere { radius },
         Isometry3::from_parts(center.into(), UnitQuaternion::identity()),
         color,
     )
 }
 
 /// A scene in a room so large that shapes can be recognised by their depth.
-fn scene(shapes: Vec<Shape>) -> Scene {
-    let mut scene = Scene::new(shapes);
+fn scene(shapes: Vec<Shape>) -> VisibleScene {
+    let mut scene = VisibleScene::new(shapes);
     scene.background.lower = Vector3::repeat(-50.0);
     scene.background.upper = Vector3::repeat(50.0);
     scene
@@ -93,7 +93,9 @@ fn the_depth_of_a_tilted_plane_is_its_closed_form() {
     let tilt = UnitQuaternion::from_euler_angles(0.4, -0.2, 0.3);
     let pose = Isometry3::from_parts(Translation3::new(0.1, 1.5, -0.4), tilt);
     let half = Vector3::new(0.8, 0.8, 0.01);
-    for geometry in [Geometry::Box { half }, Geometry::Tabletop { half, bumps: Arc::from([]), dirt: None }] {
+    for geometry in
+        [VisibleForm::Box { half }, VisibleForm::Tabletop { half, bumps: Arc::from([]), dirt: None }]
+    {
         let viewpoint = ahead();
         let seen = render(&scene(vec![shape(geometry, pose, RED)]), &viewpoint);
         let (normal, mut compared) = (pose.rotation * Vector3::z(), 0);
@@ -145,11 +147,11 @@ fn light_keeps_the_hue() {
 fn nothing_is_seen_of_what_is_behind_or_about_the_camera() {
     let empty = render(&scene(vec![]), &ahead());
     let forms = [
-        Geometry::Sphere { radius: 0.3 },
-        Geometry::Box { half: Vector3::repeat(0.3) },
-        Geometry::Capsule { radius: 0.2, half_length: 0.1 },
-        Geometry::Cylinder { radius: 0.2, half_length: 0.2 },
-        Geometry::Tabletop { half: Vector3::repeat(0.3), bumps: Arc::from([]), dirt: None },
+        VisibleForm::Sphere { radius: 0.3 },
+        VisibleForm::Box { half: Vector3::repeat(0.3) },
+        VisibleForm::Capsule { radius: 0.2, half_length: 0.1 },
+        VisibleForm::Cylinder { radius: 0.2, half_length: 0.2 },
+        VisibleForm::Tabletop { half: Vector3::repeat(0.3), bumps: Arc::from([]), dirt: None },
     ];
     for form in forms {
         for y in [-1.0, 0.0] {
@@ -180,11 +182,11 @@ fn degenerate_input_draws_something_or_nothing_but_never_panics() {
         let bumps = Arc::from([Bump { at: [a, b], height: b, radius: a }]);
         let dirt = Arc::new(DirtTexture { columns: 3, rows: usize::MAX, cells: vec![9; 2], color: RED });
         for form in [
-            Geometry::Sphere { radius: a },
-            Geometry::Box { half: Vector3::new(a, b, 1.0) },
-            Geometry::Capsule { radius: a, half_length: b },
-            Geometry::Cylinder { radius: a, half_length: b },
-            Geometry::Tabletop { half: Vector3::new(b, 1.0, a), bumps, dirt: Some(dirt) },
+            VisibleForm::Sphere { radius: a },
+            VisibleForm::Box { half: Vector3::new(a, b, 1.0) },
+            VisibleForm::Capsule { radius: a, half_length: b },
+            VisibleForm::Cylinder { radius: a, half_length: b },
+            VisibleForm::Tabletop { half: Vector3::new(b, 1.0, a), bumps, dirt: Some(dirt) },
         ] {
             shapes.push(shape(form.clone(), Isometry3::translation(0.0, 1.0, 0.0), RED));
             shapes.push(shape(form, Isometry3::translation(a, b, -1.0), GREEN));
@@ -217,7 +219,7 @@ fn a_bump_rises_by_its_height_and_dirt_and_shadow_darken() {
     let bumps = Arc::from([Bump { at: [0.1, 0.05], height: 0.005, radius: 0.06 }]);
     let mut dirt = DirtTexture::clean(80, 80, [20, 20, 20]);
     dirt.cells[20 * 80 + 20] = 255;
-    let table = Geometry::Tabletop { half, bumps, dirt: Some(Arc::new(dirt)) };
+    let table = VisibleForm::Tabletop { half, bumps, dirt: Some(Arc::new(dirt)) };
     let camera = PinholeCamera { width: 321, height: 241, focal: 257.5, center: [160.0, 120.0] };
     let above =
         |x: f64, y: f64| Viewpoint::look_at(camera, Vector3::new(x, y, 1.01), Vector3::new(x, y, 0.0));
@@ -251,10 +253,10 @@ fn ray(viewpoint: &Viewpoint, u: usize, v: usize) -> Vector3<f64> {
 fn arbitrary_shape(random: &mut ChaCha8Rng) -> Shape {
     let mut size = || random.random_range(0.01..0.25);
     let geometry = match size() {
-        s if s < 0.07 => Geometry::Sphere { radius: size() },
-        s if s < 0.13 => Geometry::Box { half: Vector3::new(size(), size(), size()) },
-        s if s < 0.19 => Geometry::Cylinder { radius: size(), half_length: size() },
-        _ => Geometry::Capsule { radius: size(), half_length: size() },
+        s if s < 0.07 => VisibleForm::Sphere { radius: size() },
+        s if s < 0.13 => VisibleForm::Box { half: Vector3::new(size(), size(), size()) },
+        s if s < 0.19 => VisibleForm::Cylinder { radius: size(), half_length: size() },
+        _ => VisibleForm::Capsule { radius: size(), half_length: size() },
     };
     let mut number = || random.random_range(-1.0..1.0);
     let turn = UnitQuaternion::from_euler_angles(number() * 3.1, number() * 3.1, number() * 3.1);
@@ -286,20 +288,20 @@ fn entry(shape: &Shape, ray: &Vector3<f64>) -> Option<f64> {
     let both =
         |a: [f64; 2], b: [f64; 2]| Some([a[0].max(b[0]), a[1].min(b[1])]).filter(|[low, high]| low <= high);
     let inside = match shape.geometry {
-        Geometry::Sphere { radius } => sphere(Vector3::zeros(), radius),
-        Geometry::Box { half } => {
+        VisibleForm::Sphere { radius } => sphere(Vector3::zeros(), radius),
+        VisibleForm::Box { half } => {
             both(slab(0, half.x), slab(1, half.y)).and_then(|s| both(s, slab(2, half.z)))
         }
-        Geometry::Cylinder { radius, half_length } => {
+        VisibleForm::Cylinder { radius, half_length } => {
             tube(radius).and_then(|t| both(t, slab(2, half_length)))
         }
-        Geometry::Capsule { radius, half_length } => {
+        VisibleForm::Capsule { radius, half_length } => {
             let ends = [-half_length, half_length].map(|z| sphere(Vector3::new(0.0, 0.0, z), radius));
             let side = tube(radius).and_then(|t| both(t, slab(2, half_length)));
             let parts = ends.into_iter().chain([side]).flatten();
             parts.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
         }
-        Geometry::Tabletop { .. } | Geometry::Mesh { .. } => None,
+        VisibleForm::Tabletop { .. } | VisibleForm::Mesh { .. } => None,
     };
     inside.map(|[low, _]| low).filter(|t| *t > 0.0)
 }
@@ -347,8 +349,8 @@ fn triangles_look_like_the_cuboid_whose_surface_they_are() {
             UnitQuaternion::from_scaled_axis(Vector3::new(any(-2.0, 2.0), any(-2.0, 2.0), any(-2.0, 2.0)));
         let pose =
             Isometry3::from_parts(Translation3::new(any(-0.5, 0.5), any(0.8, 2.0), any(-0.4, 0.4)), turn);
-        let solid = render(&scene(vec![shape(Geometry::Box { half }, pose, RED)]), &ahead());
-        let mesh = Geometry::Mesh { mesh: Arc::new(cuboid_of_triangles(&half)) };
+        let solid = render(&scene(vec![shape(VisibleForm::Box { half }, pose, RED)]), &ahead());
+        let mesh = VisibleForm::Mesh { mesh: Arc::new(cuboid_of_triangles(&half)) };
         let surface = render(&scene(vec![shape(mesh, pose, RED)]), &ahead());
         for (a, b) in solid.depth.data.iter().zip(&surface.depth.data).filter(|(a, _)| **a < 20.0) {
             covered += 1;
@@ -365,7 +367,7 @@ fn a_mesh_around_the_camera_and_one_behind_it_are_no_trouble() {
     for y in [-2.0, -0.5, 0.0, 0.45] {
         let pose = Isometry3::translation(0.0, y, 0.0);
         let seen =
-            render(&scene(vec![shape(Geometry::Mesh { mesh: Arc::clone(&mesh) }, pose, RED)]), &ahead());
+            render(&scene(vec![shape(VisibleForm::Mesh { mesh: Arc::clone(&mesh) }, pose, RED)]), &ahead());
         let expected = 0.5 + y;
         let depth = depth_at(&seen, 160, 120);
         assert!(if expected > 0.01 { (depth - expected).abs() < 1e-3 } else { depth > 20.0 }, "{y}: {depth}");

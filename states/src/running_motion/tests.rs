@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use armarium_memoryx::{WorkingMemory, tokio_clock};
-use armarium_motion::{Coach, CoachConfig, CoachInput, PeriodicDmpConfig, PhaseSample};
+use armarium_motion::{CoachConfig, CoachInput, CoachedMotion, PeriodicDmpConfig, PhaseSample};
 use nalgebra::Vector3;
 
 use super::*;
@@ -103,7 +103,7 @@ async fn an_edit_is_seen_at_once_and_is_executed_in_the_next_step() {
     let mut one = running.edit(&id).unwrap();
     let other = running.edit(&id).unwrap();
     owner.step(1e-3, 3.0, 0).unwrap();
-    let mut coach = Coach::new(CoachConfig::default(), &one.view().unwrap()).unwrap();
+    let mut coach = CoachedMotion::new(CoachConfig::default(), &one.view().unwrap()).unwrap();
     let push = CoachInput::Push { force: Vector3::new(9.0, 0.0, 0.0) };
     let report = one.edit(|motion, omega| coach.step(motion, 1e-3, omega, push)).unwrap();
     assert!(report.active && (report.phase - owner.state().phase).abs() < 1e-12);

@@ -6,7 +6,7 @@
 
 use nalgebra::{Isometry3, Quaternion, Translation3, Unit};
 
-use super::messages::{Contact, WrenchSample};
+use super::messages::{TrueContact, WrenchSample};
 
 /// Steps per metre of positions, and per unit of quaternion components: about a micrometre.
 const POSE: f64 = (1 << 20) as f64;
@@ -39,8 +39,8 @@ pub(super) fn joint_velocity(velocity: f64) -> f64 {
     on(JOINT_VELOCITY, velocity)
 }
 
-pub(super) fn contact(contact: &Contact) -> Contact {
-    Contact { normal_n: on(CONTACT, contact.normal_n), tangential_n: on(CONTACT, contact.tangential_n) }
+pub(super) fn contact(contact: &TrueContact) -> TrueContact {
+    TrueContact { normal_n: on(CONTACT, contact.normal_n), tangential_n: on(CONTACT, contact.tangential_n) }
 }
 
 pub(super) fn wrench(sample: &WrenchSample) -> WrenchSample {
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn a_force_is_short_as_text_and_what_is_no_number_stays_none() {
-        let kept = contact(&Contact { normal_n: 8.000_499_9, tangential_n: f64::NAN });
+        let kept = contact(&TrueContact { normal_n: 8.000_499_9, tangential_n: f64::NAN });
         assert_eq!(kept.normal_n.to_string(), "8");
         assert!(kept.tangential_n.is_nan());
     }

@@ -9,7 +9,7 @@ pub(super) const ROOT: &str = "root";
 
 /// The true contact between the judged object and the table at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Contact {
+pub struct TrueContact {
     /// Force along the table's normal, N; positive presses.
     pub normal_n: f64,
     /// Magnitude of the force in the table's plane, N.
@@ -42,7 +42,7 @@ pub enum LogLevel {
     Error,
 }
 
-pub(super) const CONTACT_SCHEMA: &str = r#"{"title":"armarium.Contact","description":"True contact of the object in the hand with the table.","type":"object","properties":{"normal_n":{"type":"number","description":"Force along the table's normal, N; positive presses."},"tangential_n":{"type":"number","description":"Size of the force in the table's plane, N."}},"required":["normal_n","tangential_n"]}"#;
+pub(super) const CONTACT_SCHEMA: &str = r#"{"title":"armarium.TrueContact","description":"True contact of the object in the hand with the table.","type":"object","properties":{"normal_n":{"type":"number","description":"Force along the table's normal, N; positive presses."},"tangential_n":{"type":"number","description":"Size of the force in the table's plane, N."}},"required":["normal_n","tangential_n"]}"#;
 
 pub(super) const WRENCH_SCHEMA: &str = r#"{"title":"armarium.WrenchSample","description":"Force and torque at the wrist.","type":"object","properties":{"force_raw":{"type":"array","items":{"type":"number"},"description":"As the sensor gives it, sensor frame, N."},"torque_raw":{"type":"array","items":{"type":"number"},"description":"As the sensor gives it, about the sensor's origin, sensor frame, N m."},"force":{"type":"array","items":{"type":"number"},"description":"Of the environment on the hand, compensated, root frame, N."},"torque":{"type":"array","items":{"type":"number"},"description":"Of the environment on the hand about the TCP, compensated, root frame, N m."}},"required":["force_raw","torque_raw","force","torque"]}"#;
 

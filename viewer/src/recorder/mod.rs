@@ -24,7 +24,7 @@ use foxglove::{Channel, Context, McapCompression, McapWriteOptions, McapWriterHa
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-pub use messages::{Contact, LogLevel, WrenchSample};
+pub use messages::{LogLevel, TrueContact, WrenchSample};
 
 /// Options of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -260,7 +260,7 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecorderError::Encode`] when the message cannot be encoded.
-    pub fn contact(&mut self, t_ns: u64, contact: &Contact) -> Result<(), RecorderError> {
+    pub fn contact(&mut self, t_ns: u64, contact: &TrueContact) -> Result<(), RecorderError> {
         self.json("/truth/contact", t_ns, &grid::contact(contact))
     }
 

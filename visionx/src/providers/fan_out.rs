@@ -17,7 +17,7 @@ pub struct FanOut {
 }
 
 /// One reader's end of a [`FanOut`].
-pub struct Subscription {
+pub struct FrameSubscription {
     shared: Arc<FanOut>,
     seen: AtomicU64,
     skipped: AtomicU64,
@@ -30,13 +30,13 @@ impl FanOut {
     }
 
     /// A new reader. Its first frame is taken after this call.
-    pub async fn subscribe(self: &Arc<Self>) -> Subscription {
+    pub async fn subscribe(self: &Arc<Self>) -> FrameSubscription {
         let seen = self.newest.lock().await.0;
-        Subscription { shared: Arc::clone(self), seen: AtomicU64::new(seen), skipped: AtomicU64::new(0) }
+        FrameSubscription { shared: Arc::clone(self), seen: AtomicU64::new(seen), skipped: AtomicU64::new(0) }
     }
 }
 
-impl Subscription {
+impl FrameSubscription {
     /// The number of frames that this reader missed while it was busy.
     pub fn skipped(&self) -> u64 {
         self.skipped.load(Ordering::Relaxed)
@@ -44,7 +44,7 @@ impl Subscription {
 }
 
 #[async_trait]
-impl ImageProvider for Subscription {
+impl ImageProvider for FrameSubscription {
     fn description(&self) -> ProviderDescription {
         self.shared.provider.description()
     }

@@ -40,7 +40,7 @@ pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
 pub use description::{CameraModel, Distortion, ImageDescription, NotStereo, ProviderDescription};
 pub use discovery::{DescriptionError, FoundProvider, RemoteError, providers};
-pub use fan_out::{FanOut, Subscription};
+pub use fan_out::{FanOut, FrameSubscription};
 pub use files::{FileProvider, Pace};
 pub use frame::{MAX_IMAGES, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage};
 pub use offering::{Offered, OfferedStatistics, offer};

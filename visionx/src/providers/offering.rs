@@ -15,7 +15,7 @@ use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
 use super::convert::coded;
-use super::fan_out::{FanOut, Subscription};
+use super::fan_out::{FanOut, FrameSubscription};
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, pack};
 use super::{ImageProvider, RawFrame};
 use crate::counter::Counter;
@@ -116,7 +116,7 @@ pub async fn offer(
 
 impl Offering {
     /// The next frame; errors are counted and skipped. `None` when there are no more frames.
-    async fn next(&self, frames: &Subscription) -> Option<Arc<RawFrame>> {
+    async fn next(&self, frames: &FrameSubscription) -> Option<Arc<RawFrame>> {
         loop {
             match frames.next().await {
                 Ok(frame) => return Some(frame),
@@ -132,7 +132,7 @@ impl Offering {
         }
     }
 
-    async fn send_raw(self: Arc<Self>, sender: BulkSender, frames: Subscription) {
+    async fn send_raw(self: Arc<Self>, sender: BulkSender, frames: FrameSubscription) {
         loop {
             sender.wanted().await;
             let Some(frame) = self.next(&frames).await else { return };
@@ -162,7 +162,7 @@ impl Offering {
         }
     }
 
-    async fn send_coded(self: Arc<Self>, sender: BulkSender, frames: Subscription, coding: ImageCoding) {
+    async fn send_coded(self: Arc<Self>, sender: BulkSender, frames: FrameSubscription, coding: ImageCoding) {
         loop {
             sender.wanted().await;
             let Some(frame) = self.next(&frames).await else { return };

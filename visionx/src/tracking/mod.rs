@@ -3,12 +3,13 @@
 //! - [`FingerTipTracking`]: the fingertips in a stream of stereo frames. It is built from [`edge_map`],
 //!   [`AdaptiveHoughTransform`], [`ParticleFilterFingerTracking`] and [`FingerARModel`].
 //! - [`HandInPicture`]: the hand, its fingertips and its gesture in one image of an unknown camera, segmented by
-//!   [`SkinSegmentation`].
+//!   [`SkinSegmentation`]; [`TipFollower`] joins what is seen in a sequence of them.
 //! - [`GestureRecognizer`]: recognises gestures by patterns of fingers from a file.
 
 mod ar_model;
 mod contour_filter;
 mod edges;
+mod follower;
 pub mod hand;
 mod hough;
 mod hypotheses;
@@ -24,6 +25,7 @@ mod tips;
 pub use ar_model::{ArModelError, FingerARModel};
 pub use contour_filter::{ContourNode, FilterFrame, ParticleFilterFingerTracking};
 pub use edges::{Edge, edge_map};
+pub use follower::{FollowedTips, TipFollower};
 pub use hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 pub use photograph::HandInPicture;
 pub use recognizer::{Expected, GesturePattern, GestureRecognizer, SeenFinger};

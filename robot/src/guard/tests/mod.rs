@@ -8,8 +8,8 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 
 use crate::{
-    Fault, Guard, GuardConfig, GuardedRobot, Lease, LeaseError, LeaseLimits, Model, Robot, ServoJoints,
-    Wrench,
+    Fault, ForceTorque, Guard, GuardConfig, GuardedRobot, Lease, LeaseError, LeaseLimits, Model, Robot,
+    ServoJoints,
 };
 
 const RIGHT: &str = "right_wrist";
@@ -69,7 +69,7 @@ impl Rig {
         self.model.wrenches().iter().position(|sensor| sensor.name == name).unwrap()
     }
 
-    fn felt(&self, name: &str) -> Wrench {
+    fn felt(&self, name: &str) -> ForceTorque {
         self.robot.sensed().borrow().wrenches[self.sensor(name)].external
     }
 
@@ -84,7 +84,7 @@ impl Rig {
         self.joints.sample().velocity.iter().fold(0.0, |most, v| most.max(v.abs()))
     }
 
-    fn wrist(&self) -> Wrench {
+    fn wrist(&self) -> ForceTorque {
         self.felt(RIGHT)
     }
 

@@ -2,20 +2,15 @@
 //! frame only. It answers `GET` of `/` and of `/frame`, which waits for the next frame, and only requests from this
 //! machine.
 
-use std::io::Write;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_visionx::providers::RawFrame;
 use armarium_visionx::providers::convert::{jpeg, rgb_of};
+use armarium_visionx::providers::{ImageProvider, RawFrame, RemoteProvider};
 use armarium_visionx::{ImageError, RgbImage};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
-
-use super::source::Source;
-use super::{Failure, failed};
-use crate::stopped::stopped;
 
 /// Longest accepted request, bytes.
 const MAX_REQUEST: usize = 8192;
@@ -32,18 +27,17 @@ const PAGE: &str = include_str!("page.html");
 
 type LatestJpeg = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
-/// Shows the page until Ctrl-C. After the provider has ended, the page keeps its last frame.
-pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
-    let listener = TcpListener::bind(("127.0.0.1", port)).await;
-    let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
-    let address = listener.local_addr().map_err(failed)?;
-    writeln!(out, "http://{address}/ shows {}; Ctrl-C ends it", source.provider.description().name)?;
-    out.flush()?;
+/// Answers browsers at `listener` until it is dropped. After the provider has ended, the page keeps its last frame.
+/// `remote` is the provider's remote end, if it is in another process.
+pub async fn serve(
+    listener: TcpListener,
+    provider: Arc<dyn ImageProvider>,
+    remote: Option<Arc<RemoteProvider>>,
+) {
     let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
     let (want, wanted) = watch::channel(None);
-    let pulling = tokio::spawn(pull(source, sender, wanted));
     let places = Arc::new(Semaphore::new(MAX_BROWSERS));
-    let serving = async {
+    let answering = async {
         loop {
             let Ok((stream, _)) = listener.accept().await else { continue };
             let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
@@ -55,20 +49,15 @@ pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Resu
             });
         }
     };
-    tokio::select! {
-        biased;
-        () = stopped() => {}
-        () = serving => {}
-    }
-    pulling.abort();
-    Ok(())
+    tokio::join!(pull(provider, remote, sender, wanted), answering);
 }
 
 /// Keeps the newest frame as a picture. It encodes a frame when a browser has received the last and requests another.
 /// Without requests it still encodes one every few seconds, because a waiting frame would hold the shared memory of a
 /// provider that has ended.
 async fn pull(
-    source: Source,
+    provider: Arc<dyn ImageProvider>,
+    remote: Option<Arc<RemoteProvider>>,
     to: watch::Sender<(u64, Arc<Vec<u8>>)>,
     mut wanted: watch::Receiver<Option<u64>>,
 ) {
@@ -76,10 +65,10 @@ async fn pull(
     loop {
         let want = wanted.wait_for(|seen| seen.is_some_and(|seen| seen >= count));
         let next = match tokio::time::timeout(IDLE_INTERVAL, want).await.map(|want| want.is_ok()) {
-            Ok(true) => source.provider.next().await,
+            Ok(true) => provider.next().await,
             Ok(false) => return,
             Err(_) => {
-                let Some(remote) = &source.remote else { continue };
+                let Some(remote) = &remote else { continue };
                 let Some(frame) = remote.newest().await else { continue };
                 Ok(frame)
             }
