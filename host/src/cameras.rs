@@ -19,7 +19,7 @@ use crate::console::Console;
 use crate::error::HostError;
 
 /// The scene on the network.
-const SCENERY: Schema = Schema::new("simulator/scenery", 1);
+const SCENERY: Schema = Schema::new("simulator/scenery", 2);
 /// The part of the provider's key on which the scene is published.
 const SCENERY_KEY: &str = "scenery";
 /// How long a run waits for its cameras.

@@ -13,6 +13,8 @@ use crate::world::{Faults, NoiseSpec, WrenchFault};
 const TORQUE_SHARE: f64 = 0.05;
 /// Noise of a force axis where a world wants none, N: a sensor that repeats itself bit by bit counts as broken.
 const LEAST_NOISE: f64 = 1e-6;
+/// Time constant of the coloured noise, s.
+const COLOUR_TIME: f64 = 0.05;
 /// Time constant of the offsets' drift, s: an offset nears where it drifts to, and after this time drifts to another place.
 const DRIFT_TIME: f64 = 300.0;
 /// Noise of a joint's velocity over that of its angle, 1/s.
@@ -39,6 +41,8 @@ pub(crate) struct Sensors {
 struct WrenchSensor {
     bias: [f64; 6],
     drift: Drift,
+    /// The coloured noise, over its standard deviation, and when it was so, s.
+    colored: ([f64; 6], f64),
     rng: ChaCha8Rng,
     frozen: Option<ForceTorque>,
 }
@@ -83,7 +87,7 @@ impl Sensors {
         }
         let frozen = self.faults.wrench == WrenchFault::Frozen && t >= self.faults.from;
         for (i, (sensor, truth)) in self.wrenches.iter_mut().zip(wrenches).enumerate() {
-            let felt = sensor.sense(t, &truth, self.noise.wrench);
+            let felt = sensor.sense(t, &truth, &self.noise);
             let broken = frozen && self.faulty == Some(i);
             sample.wrenches[i] = if broken { *sensor.frozen.get_or_insert(felt) } else { felt };
         }
@@ -101,14 +105,28 @@ impl WrenchSensor {
             noise.wrench_bias * share(axis) * rng.sample::<f64, _>(StandardNormal)
         });
         let drift = Drift::new(noise.wrench_drift, &mut rng);
-        Self { bias, drift, rng, frozen: None }
+        Self { bias, drift, colored: ([0.0; 6], 0.0), rng, frozen: None }
     }
 
-    fn sense(&mut self, t: f64, truth: &ForceTorque, sigma: f64) -> ForceTorque {
-        let sigma = sigma.max(LEAST_NOISE);
+    /// A first-order Gauss-Markov process of standard deviation 1 at `t` s, which never goes back.
+    fn colored(&mut self, t: f64) -> [f64; 6] {
+        let (last, at) = &mut self.colored;
+        let kept = (-(t - *at).max(0.0) / COLOUR_TIME).exp();
+        let fresh = (1.0 - kept * kept).sqrt();
+        for axis in last.iter_mut() {
+            *axis = kept * *axis + fresh * self.rng.sample::<f64, _>(StandardNormal);
+        }
+        *at = t;
+        *last
+    }
+
+    fn sense(&mut self, t: f64, truth: &ForceTorque, noise: &NoiseSpec) -> ForceTorque {
+        let sigma = noise.wrench.max(LEAST_NOISE);
         let drift = self.drift.at(t, &mut self.rng);
+        let colored = self.colored(t);
         let offset: [f64; 6] = std::array::from_fn(|axis| {
-            self.bias[axis] + drift[axis] + sigma * share(axis) * self.rng.sample::<f64, _>(StandardNormal)
+            let white = sigma * self.rng.sample::<f64, _>(StandardNormal);
+            self.bias[axis] + drift[axis] + share(axis) * (white + noise.wrench_colored * colored[axis])
         });
         ForceTorque {
             force: truth.force + Vector3::new(offset[0], offset[1], offset[2]),
@@ -235,6 +253,23 @@ mod tests {
         }
         assert!(((angles / f64::from(n)).sqrt() - 0.0002).abs() < 1e-5);
         assert_ne!(s.wrenches[0].bias, s.wrenches[1].bias);
+    }
+
+    #[test]
+    fn coloured_noise_has_its_deviation_and_is_alike_for_its_time_only() {
+        let model = Model::shipped("armar3").unwrap();
+        let mut s = sensors(&model, Faults::default());
+        let axis: Vec<f64> =
+            (0..200_000).map(|ms| s.wrenches[0].colored(f64::from(ms) * 1e-3)[0]).skip(1000).collect();
+        let alike = |after: usize| {
+            let pairs = axis.iter().zip(&axis[after..]);
+            pairs.map(|(a, b)| a * b).sum::<f64>() / (axis.len() - after) as f64
+        };
+        let expected = |after: f64| (-after / COLOUR_TIME).exp();
+        for after in [0_u32, 10, 50, 500] {
+            let off = alike(after as usize) - expected(f64::from(after) * 1e-3);
+            assert!(off.abs() < 0.1, "{off} after {after} ms");
+        }
     }
 
     #[test]

@@ -86,6 +86,8 @@ pub struct RobotErrors {
     pub friction: f64,
     /// Time in which a drive settles to 2 %, s.
     pub drive_time: f64,
+    /// True mass beyond a wrench sensor over that of the model.
+    pub hand_mass: f64,
 }
 
 impl RobotStart {
@@ -98,7 +100,14 @@ impl RobotStart {
 impl RobotErrors {
     /// A robot that is what its model says.
     pub fn none(joints: usize) -> Self {
-        Self { zeros: vec![0.0; joints], gravity: 0.0, backlash: 0.0, friction: 0.0, drive_time: 0.04 }
+        Self {
+            zeros: vec![0.0; joints],
+            gravity: 0.0,
+            backlash: 0.0,
+            friction: 0.0,
+            drive_time: 0.04,
+            hand_mass: 1.0,
+        }
     }
 
     fn draw(physics: &Imperfections, model: &Model, rng: &mut ChaCha8Rng) -> Self {
@@ -108,13 +117,14 @@ impl RobotErrors {
             JointKind::Prismatic => 0.0,
         };
         let zeros = model.joints().iter().map(&mut zero).collect();
-        let sign = if rng.random::<bool>() { 1.0 } else { -1.0 };
+        let mut either = || if rng.random::<bool>() { 1.0 } else { -1.0 };
         Self {
             zeros,
-            gravity: sign * physics.gravity_error,
+            gravity: either() * physics.gravity_error,
             backlash: physics.backlash_deg.to_radians(),
             friction: physics.joint_friction,
             drive_time: physics.drive_time,
+            hand_mass: 1.0 + either() * physics.hand_mass_error,
         }
     }
 }

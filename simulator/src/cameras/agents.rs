@@ -63,12 +63,13 @@ impl AgentEyes {
     }
 
     /// Draws a frame of a scene and publishes it.
-    pub(crate) fn draw(&mut self, scene: &VisibleScene, stamp_ns: u64) {
+    pub(crate) fn draw(&mut self, scene: &VisibleScene, exposed_ns: u64) {
         let drawn = render_pair(scene, &self.rig.left_and_right(self.scene_from_left));
         let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;
-        self.rig.send(StereoFrame { stamp_ns, left, right, depth, root_from_left });
-        self.deliver(stamp_ns);
+        let stamp_ns = self.rig.stamp(exposed_ns);
+        self.rig.send(exposed_ns, StereoFrame { stamp_ns, left, right, depth, root_from_left });
+        self.deliver(exposed_ns);
     }
 }
 

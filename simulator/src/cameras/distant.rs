@@ -22,12 +22,14 @@ pub struct Scenery {
     pub world: (String, u64),
     /// Number of the frame; counts all frames that were due, drawn or not.
     pub frame: u64,
-    /// Time of the frame, ns.
-    pub stamp_ns: u64,
+    /// Time of the exposure, ns.
+    pub exposed_ns: u64,
     /// True joint positions of the robot whose cameras they are, rad (m), in the model's order.
     pub true_position: Vec<f64>,
     /// Joint positions as it senses them.
     pub sensed_position: Vec<f64>,
+    /// Joint velocities as it senses them, rad/s (m/s).
+    pub sensed_velocity: Vec<f64>,
     /// True joint positions of the world's other robots, in its order.
     #[serde(default)]
     pub others: Vec<Vec<f64>>,
@@ -90,9 +92,10 @@ impl Scenery {
         Self {
             world: world.clone(),
             frame,
-            stamp_ns: view.stamp_ns,
+            exposed_ns: view.exposed_ns,
             true_position: view.robots[0].truth.to_vec(),
             sensed_position: view.robots[0].sensed.to_vec(),
+            sensed_velocity: view.robots[0].velocity.to_vec(),
             others: view.robots[1..].iter().map(|robot| robot.truth.to_vec()).collect(),
             objects: view.objects.to_vec(),
             people: view.people.to_vec(),
@@ -152,7 +155,9 @@ impl DistantCameras {
         let fits = |q: &Vec<f64>, joints: usize| q.len() == joints && q.iter().all(|v| v.is_finite());
         let joints = truths().count() == self.drawing.joints().count()
             && truths().zip(self.drawing.joints()).all(|(q, joints)| fits(q, joints))
-            && fits(&scenery.sensed_position, scenery.true_position.len());
+            && [&scenery.sensed_position, &scenery.sensed_velocity]
+                .into_iter()
+                .all(|q| fits(q, scenery.true_position.len()));
         let poses = (scenery.objects.iter().chain(scenery.people.iter().flatten()))
             .chain(&scenery.tool)
             .chain(scenery.hand.iter().map(|(pose, _)| pose));
@@ -170,11 +175,15 @@ impl DistantCameras {
         });
         let coach = CoachState { tool: scenery.tool, hand, ..CoachState::default() };
         self.eyes.rig.next_frame = scenery.frame;
-        let own = RobotState { truth: &scenery.true_position, sensed: &scenery.sensed_position };
-        let others = scenery.others.iter().map(|truth| RobotState { truth, sensed: truth });
+        let own = RobotState {
+            truth: &scenery.true_position,
+            sensed: &scenery.sensed_position,
+            velocity: &scenery.sensed_velocity,
+        };
+        let others = scenery.others.iter().map(|truth| RobotState { truth, sensed: truth, velocity: &[] });
         let robots: Vec<_> = [own].into_iter().chain(others).collect();
         let view = SceneState {
-            stamp_ns: scenery.stamp_ns,
+            exposed_ns: scenery.exposed_ns,
             robots: &robots,
             objects: &scenery.objects,
             people: &scenery.people,
@@ -224,10 +233,10 @@ mod tests {
         let running = tokio::spawn(near.run());
         let seen = loop {
             let frame = images.next().await.unwrap();
-            if frame.stamp_ns == shown.stamp_ns {
+            if frame.stamp_ns.abs_diff(shown.exposed_ns) < 20_000_000 {
                 break frame;
             }
-            assert!(frame.stamp_ns < shown.stamp_ns);
+            assert!(frame.stamp_ns < shown.exposed_ns);
         };
         handle.stop();
         running.await.unwrap();

@@ -30,11 +30,13 @@ pub(crate) struct RobotState<'a> {
     pub(crate) truth: &'a [f64],
     /// As the robot senses them.
     pub(crate) sensed: &'a [f64],
+    /// As fast as the robot senses them, rad/s (m/s).
+    pub(crate) velocity: &'a [f64],
 }
 
 /// The state of the scene at one frame.
 pub(crate) struct SceneState<'a> {
-    pub(crate) stamp_ns: u64,
+    pub(crate) exposed_ns: u64,
     /// The robots, in the world's order.
     pub(crate) robots: &'a [RobotState<'a>],
     /// Poses of all bodies.

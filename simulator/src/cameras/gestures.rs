@@ -85,6 +85,7 @@ fn world(table: [u8; 3]) -> World {
     world.table.color = table;
     world.camera.noise = 3.0;
     (world.camera.latency, world.camera.jitter, world.camera.dropped) = (0.0, 0.0, 0.0);
+    (world.camera.stamp_offset, world.camera.stamp_jitter) = (0.0, 0.0);
     world.camera.mounting_error.rotation_deg = [2.0, -1.5, 1.0];
     world.coach.coaching = vec![
         show(2.0, Gesture::Fist, 0.6, [-0.10, -0.04, 0.05], None),
@@ -103,7 +104,8 @@ fn watch(world: &World, seed: u64) -> Score {
     let mut eyes = Eyes::new(world, 0, &robots[0], seed);
     let mut drawing = Drawing::new(world, &robots, &table, seed);
     let mut wiper = Wiper::new(&model, &robots[0].arm);
-    drawing.update(&[RobotState { truth: &wiper.q, sensed: &wiper.q }]);
+    let still = vec![0.0; wiper.q.len()];
+    drawing.update(&[RobotState { truth: &wiper.q, sensed: &wiper.q, velocity: &still }]);
     let camera = drawing.link(0, eyes.left).translation.vector.into();
     let rng = ChaCha8Rng::seed_from_u64(seed);
     let mut coach = Coach::new(&world.coach, world.table.height, (camera, 1.0), rng);
@@ -131,8 +133,8 @@ fn watch(world: &World, seed: u64) -> Score {
             continue;
         }
         let view = SceneState {
-            stamp_ns: step * 5_000_000,
-            robots: &[RobotState { truth: &wiper.q, sensed: &wiper.q }],
+            exposed_ns: step * 5_000_000,
+            robots: &[RobotState { truth: &wiper.q, sensed: &wiper.q, velocity: &still }],
             objects: &[tcp * Isometry3::from_parts(world.grasp_in_tcp().into(), UnitQuaternion::identity())],
             people: &[],
             coach: &state,

@@ -129,6 +129,8 @@ struct StereoRig {
     next_frame: u64,
     noise: SensorNoise,
     depth: Option<DepthSensor>,
+    /// The camera's clock less the robot's, and the standard deviation of its stamps, s.
+    stamps_s: [f64; 2],
     /// Mean and standard deviation of the time until a frame arrives, s.
     latency_s: [f64; 2],
     /// The share of frames that never arrive.
@@ -144,9 +146,11 @@ impl StereoRig {
         calibration: StereoCalibration,
         spec: &CameraSpec,
         (rate, noise): (f64, SensorNoise),
-        rng: ChaCha8Rng,
+        mut rng: ChaCha8Rng,
     ) -> Self {
+        let offset = spec.stamp_offset * (2.0 * rng.random::<f64>() - 1.0);
         Self {
+            stamps_s: [offset, spec.stamp_jitter],
             source: Arc::new(SimulatedCameras::new(name, calibration)),
             period_s: 1.0 / rate,
             next_frame: 0,
@@ -159,15 +163,30 @@ impl StereoRig {
         }
     }
 
-    /// Sends a frame on its way, unless it is lost. No frame overtakes another.
-    fn send(&mut self, frame: StereoFrame) {
+    /// By how much the stamp of the present frame is wrong, s: the same for everybody who draws it.
+    fn stamp_error(&self) -> f64 {
+        let [offset, deviation] = self.stamps_s;
+        let mut rng =
+            ChaCha8Rng::seed_from_u64(self.noise.seed() ^ 0x57a3_b000 ^ self.next_frame.rotate_left(32));
+        // No stamp comes before that of the frame before.
+        let most = 0.4 * self.period_s;
+        offset + (deviation * rng.sample::<f64, _>(StandardNormal)).clamp(-most, most)
+    }
+
+    /// The stamp of the present frame, which is exposed at `exposed_ns`.
+    fn stamp(&self, exposed_ns: u64) -> u64 {
+        exposed_ns.saturating_add_signed((self.stamp_error() * 1e9) as i64)
+    }
+
+    /// Sends a frame that was exposed at `exposed_ns` on its way, unless it is lost. No frame overtakes another.
+    fn send(&mut self, exposed_ns: u64, frame: StereoFrame) {
         let [mean, deviation] = self.latency_s;
         let late = (mean + deviation * self.rng.sample::<f64, _>(StandardNormal)).max(0.0);
         if self.rng.random::<f64>() < self.dropped {
             return;
         }
         let last = self.on_their_way.back().map_or(0, |(at, _)| *at);
-        let arrives = (frame.stamp_ns + (late * 1e9) as u64).max(last);
+        let arrives = (exposed_ns + (late * 1e9) as u64).max(last);
         if self.on_their_way.len() < MAX_ON_THEIR_WAY {
             self.on_their_way.push_back((arrives, frame));
         }
@@ -276,8 +295,8 @@ impl Eyes {
     ) -> FrameTruth {
         let (drawn, truth) = self.paint(drawing, scene, view);
         let frame = self.sensed(view, drawn);
-        self.rig.send(frame);
-        self.rig.deliver(view.stamp_ns);
+        self.rig.send(view.exposed_ns, frame);
+        self.rig.deliver(view.exposed_ns);
         truth
     }
 
@@ -309,7 +328,7 @@ impl Eyes {
                 .all(|(eye, drawn)| whole(&hand, eye, &drawn.depth, &depth_of_shapes(&alone, eye)))
         });
         let truth = FrameTruth {
-            stamp_ns: view.stamp_ns,
+            stamp_ns: self.rig.stamp(view.exposed_ns),
             gesture: view.coach.hand.map(|h| h.gesture),
             since_s: view.coach.hand.map_or(view.without_hand_s, |h| h.shown_s),
             visible,
@@ -319,10 +338,9 @@ impl Eyes {
 
     /// Adds the sensors' noise and faults.
     fn sensed(&mut self, view: &SceneState<'_>, drawn: [Rendering; 2]) -> StereoFrame {
-        let stamp_ns = view.stamp_ns;
         let mut pictures = self.rig.sensed(drawn);
         let (fault, from) = self.fault;
-        if stamp_ns as f64 * 1e-9 >= from {
+        if view.exposed_ns as f64 * 1e-9 >= from {
             match fault {
                 ImageFault::None => {}
                 ImageFault::Black => {
@@ -334,10 +352,15 @@ impl Eyes {
                 ImageFault::Frozen => pictures = self.last.get_or_insert(pictures).clone(),
             }
         }
-        self.belief.update(view.robots[self.robot].sensed);
+        // The robot takes its joints where they were at the time of the stamp.
+        let RobotState { sensed, velocity, .. } = view.robots[self.robot];
+        let error = self.rig.stamp_error();
+        let at_stamp: Vec<f64> = sensed.iter().zip(velocity).map(|(q, v)| q + v * error).collect();
+        self.belief.update(&at_stamp);
         let root_from_left =
             self.left.map_or_else(|| Translation3::from(NO_CAMERA).into(), |left| *self.belief.pose(left));
         let (left, right, depth) = pictures;
+        let stamp_ns = self.rig.stamp(view.exposed_ns);
         StereoFrame { stamp_ns, left, right, depth, root_from_left }
     }
 }
@@ -383,4 +406,40 @@ fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &DepthImage, alone: &
         }
     }
     inside && seen > 0 && hidden * 100 <= seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_err_by_an_offset_and_a_jitter_and_never_go_back() {
+        let world = World::default();
+        let start = &crate::start::robots(&world, 1, None).unwrap()[0];
+        let mut offsets = Vec::new();
+        for seed in 1..=40 {
+            let mut eyes = Eyes::new(&world, 0, start, seed);
+            let (mut errors, mut before) = (Vec::new(), 0);
+            for frame in 1..=200 {
+                let exposed_ns = frame * 66_000_000;
+                eyes.rig.next_frame = frame;
+                let stamp = eyes.rig.stamp(exposed_ns);
+                assert!(stamp > before && stamp == eyes.rig.stamp(exposed_ns));
+                before = stamp;
+                errors.push((stamp as f64 - exposed_ns as f64) * 1e-9);
+            }
+            let count = errors.len() as f64;
+            let mean = errors.iter().sum::<f64>() / count;
+            let deviation = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / count).sqrt();
+            assert!((deviation - 0.002).abs() < 4e-4, "{deviation} s");
+            offsets.push(mean);
+        }
+        assert!(offsets.iter().all(|offset| offset.abs() < 0.0035), "{offsets:?}");
+        assert!(
+            offsets.iter().any(|offset| *offset > 0.001) && offsets.iter().any(|offset| *offset < -0.001)
+        );
+        let ideal = World::ideal();
+        let eyes = Eyes::new(&ideal, 0, start, 1);
+        assert_eq!(eyes.rig.stamp(1234), 1234);
+    }
 }

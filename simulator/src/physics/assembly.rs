@@ -25,11 +25,11 @@ impl Mass {
         self.about_origin += inertia + steiner(mass, &center.coords);
     }
 
-    /// Adds a link at its pose in the frame.
-    fn add_link(&mut self, inertial: &Inertial, frame_from_link: &Isometry3<f64>) {
+    /// Adds a link at its pose in the frame, `scale` times as heavy as its description says.
+    fn add_link(&mut self, inertial: &Inertial, frame_from_link: &Isometry3<f64>, scale: f64) {
         let r = frame_from_link.rotation.to_rotation_matrix();
-        let inertia = r.matrix() * inertial.inertia * r.matrix().transpose();
-        self.add(inertial.mass, &(frame_from_link * inertial.center), &inertia);
+        let inertia = r.matrix() * inertial.inertia * r.matrix().transpose() * scale;
+        self.add(inertial.mass * scale, &(frame_from_link * inertial.center), &inertia);
     }
 
     pub(super) fn center(&self) -> Point3<f64> {
@@ -101,17 +101,26 @@ pub(super) struct Assembly {
     pub(super) touching: Vec<Touching>,
     /// For every link of the model: the lump that carries it, if any, and its pose in that lump.
     links: Vec<(Option<usize>, Isometry3<f64>)>,
+    /// True mass beyond a wrench sensor over that of the model.
+    hand_mass: f64,
 }
 
 impl Assembly {
     /// Splits a model into the bodies of the `dynamic` joints; all others stand in `posture`. What the `touching` joints
-    /// move has collision shapes.
-    pub(super) fn new(model: &Model, posture: &[f64], dynamic: &[usize], touching: &[usize]) -> Self {
+    /// move has collision shapes. What is beyond a wrench sensor is `hand_mass` times as heavy as the model says.
+    pub(super) fn new(
+        model: &Model,
+        posture: &[f64],
+        (dynamic, touching): (&[usize], &[usize]),
+        hand_mass: f64,
+    ) -> Self {
         let mut lumps: Vec<Lump> = Vec::new();
         let mut links: Vec<(Option<usize>, Isometry3<f64>)> = Vec::new();
         let mut shapes = Vec::new();
         // For every link, whether the joint that moves it against what carries it touches.
         let mut touches: Vec<bool> = Vec::new();
+        let hands: Vec<LinkId> =
+            model.wrenches().iter().flat_map(|sensor| model.subtree(sensor.frame)).collect();
         for (link, id) in model.links().iter().zip(model.link_ids()) {
             let parent = link.parent.map(LinkId::index);
             let (inherited, parent_pose) = parent.map_or((None, Isometry3::identity()), |p| links[p]);
@@ -141,7 +150,8 @@ impl Assembly {
             }
             let (lump, body_from_link) = links[id.index()];
             if let (Some(lump), Some(inertial)) = (lump, &link.inertial) {
-                lumps[lump].mass.add_link(inertial, &body_from_link);
+                let scale = if hands.contains(&id) { hand_mass } else { 1.0 };
+                lumps[lump].mass.add_link(inertial, &body_from_link, scale);
             }
             if touches[id.index()] {
                 shapes.extend(link.collisions.iter().map(|collision| Touching {
@@ -152,7 +162,7 @@ impl Assembly {
                 }));
             }
         }
-        Self { lumps, touching: shapes, links }
+        Self { lumps, touching: shapes, links, hand_mass }
     }
 
     /// What is beyond a wrench sensor whose hand's TCP is given.
@@ -167,7 +177,7 @@ impl Assembly {
                     fingers.push(finger);
                 }
             } else if let Some(inertial) = &model.links()[link.index()].inertial {
-                palm.add_link(inertial, &body_from_link);
+                palm.add_link(inertial, &body_from_link, self.hand_mass);
             }
         }
         Wrist { lump, body_from_sensor, body_from_tcp: self.links[tcp.index()].1, palm, fingers }

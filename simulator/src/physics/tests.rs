@@ -97,6 +97,17 @@ fn a_hanging_hand_reads_its_weight() {
 }
 
 #[test]
+fn a_hand_may_be_heavier_or_lighter_than_its_model_says() {
+    let model = model();
+    let mut world = free();
+    world.physics.0.hand_mass_error = 0.05;
+    let mut plant = plant_of(&model, &world, &start(&model));
+    hold(&mut plant, 100, &External::default());
+    let share = plant.wrench(0).force.norm() / (hand_mass(&model) * GRAVITY);
+    assert!(((share - 1.0).abs() - 0.05).abs() < 1e-6, "{share}");
+}
+
+#[test]
 fn a_push_reads_its_force_and_its_torque() {
     let model = model();
     let q = start(&model);

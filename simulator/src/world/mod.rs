@@ -135,6 +135,9 @@ form! {
     pub struct NoiseSpec: "`noise`" {
         /// White noise of each force axis at 1 kHz, N; torque axes have a twentieth of it, N m.
         pub wrench: f64 = 0.3, Rule::number("N", 0.0, 20.0);
+        /// Coloured noise of each force axis, N; torque axes have a twentieth of it, N m: a random walk that returns within a
+        /// twentieth of a second.
+        pub wrench_colored: f64 = 0.1, Rule::number("N", 0.0, 20.0);
         /// Standard deviation of the constant offset of each force axis, N; torque axes a twentieth, N m.
         pub wrench_bias: f64 = 1.0, Rule::number("N", 0.0, 100.0);
         /// Rate at which the offset begins to drift, each force axis with its own sign and part of it, N/s; torque axes a
@@ -162,10 +165,14 @@ form! {
         pub baseline: f64 = 0.093, Rule::number("m", 0.02, 0.5);
         /// Standard deviation of each pixel's channels, grey levels of 255.
         pub noise: f64 = 2.0, Rule::number("", 0.0, 64.0);
-        /// From the exposure of a frame to its arrival; its stamp is that of the exposure.
+        /// From the exposure of a frame to its arrival, s.
         pub latency: f64 = 0.03, Rule::number("s", 0.0, 1.0);
         /// Standard deviation of the latency, s.
         pub jitter: f64 = 0.003, Rule::number("s", 0.0, 0.1);
+        /// By how much the camera's clock differs from the robot's at most, s; how much it is, the seed draws.
+        pub stamp_offset: f64 = 0.003, Rule::number("s", 0.0, 0.1);
+        /// Standard deviation of the stamps about the exposures in that clock, s.
+        pub stamp_jitter: f64 = 0.002, Rule::number("s", 0.0, 0.1);
         /// The share of frames that are lost.
         pub dropped: f64 = 0.01, Rule::number("", 0.0, 1.0);
         /// How depth errs; `none` is a camera without depth.

@@ -8,7 +8,7 @@ use armarium_source::{Field, Findings, Rule, form};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
-use super::{CameraSpec, World};
+use super::{CameraSpec, NoiseSpec, World};
 
 form! {
     /// Imperfections of the robots' bodies and drives.
@@ -24,6 +24,8 @@ form! {
         pub joint_friction: f64 = 0.01, Rule::number("", 0.0, 0.5);
         /// Time in which a drive settles to 2 %, s.
         pub drive_time: f64 = 0.05, Rule::number("s", 0.02, 0.5);
+        /// By which share the mass beyond each wrench sensor is not what the robot's model says; its sign is drawn.
+        pub hand_mass_error: f64 = 0.03, Rule::number("", 0.0, 0.5);
     }
 }
 
@@ -39,6 +41,7 @@ const IDEAL: Imperfections = Imperfections {
     backlash_deg: 0.0,
     joint_friction: 0.0,
     drive_time: 0.04,
+    hand_mass_error: 0.0,
 };
 
 const WORDS: [&str; 2] = ["ideal", "plausible"];
@@ -89,6 +92,12 @@ impl CameraSpec {
         if !says("jitter") {
             self.jitter = 0.0;
         }
+        if !says("stamp_offset") {
+            self.stamp_offset = 0.0;
+        }
+        if !says("stamp_jitter") {
+            self.stamp_jitter = 0.0;
+        }
         if !says("dropped") {
             self.dropped = 0.0;
         }
@@ -101,20 +110,33 @@ impl CameraSpec {
     }
 }
 
+impl NoiseSpec {
+    /// Takes the errors away that the file does not name: of noise, an ideal robot's is white.
+    fn idealise(&mut self, written: Option<&Node>) {
+        if written.and_then(|robot| robot.get("noise")?.get("wrench_colored")).is_none() {
+            self.wrench_colored = 0.0;
+        }
+    }
+}
+
 impl World {
     /// The default world with an ideal robot: nothing errs but the noise of joints, wrenches and pixels.
     #[must_use]
     pub fn ideal() -> Self {
         let mut world = Self { physics: Physics(IDEAL), ..Self::default() };
         world.camera.idealise(None);
+        world.robot.noise.idealise(None);
         world
     }
 
-    /// Takes over what the word `ideal` means for the camera.
+    /// Takes over what the word `ideal` means for cameras and sensors.
     pub(super) fn apply_physics(&mut self, root: &Node) {
         let word = root.get("physics").map(|node| &node.value);
         if matches!(word, Some(Yaml::String(word)) if word == WORDS[0]) {
             self.camera.idealise(root.get("camera"));
+            self.robot.noise.idealise(root.get("robot"));
+            let others = root.get("robots").map_or(&[][..], Node::items);
+            self.robots.iter_mut().zip(others).for_each(|(robot, node)| robot.noise.idealise(Some(node)));
         }
     }
 }
