@@ -3,7 +3,6 @@
 //! - [`run()`]: runs a chart with the simulated robot, from its files to its report.
 //! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
-//! - [`image_findings`]: what a processor of images found, for people and for a memory.
 //! - [`image_coding`]: images in a memory as JPEG files.
 //! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.
 //! - [`mod@sweep`]: many runs of a chart, and how many hold. [`mod@bench`]: one skill under test, in a few lines.
@@ -26,7 +25,6 @@ mod driven;
 mod error;
 mod frame_sampler;
 pub mod image_coding;
-pub mod image_findings;
 mod memory_log;
 mod names;
 mod network;

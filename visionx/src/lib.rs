@@ -56,10 +56,11 @@ pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, PixelRun, Region};
 pub use processor::{
-    FindingSource, ImageFinding, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
-    run_processor,
+    ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy, Trigger, run_processor,
 };
 pub use providers::rectify::Rectification;
-pub use steps::{OfStereo, StereoStep};
+pub use steps::{
+    FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep, observe,
+};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

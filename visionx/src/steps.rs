@@ -1,17 +1,34 @@
 //! The trackers as processors: a [`StereoStep`] works on one provider of stereo pairs, and [`OfStereo`] turns it
-//! into an [`ImageProcessor`].
+//! into an [`ImageProcessor`]. What a tracker finds is said here, once, as observations for memory.
 
 use std::sync::Arc;
 
+use armarium_values::{Frame, Observation, ObservedPlace, Pose, Value, Vector};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
 use crate::annotate;
 use crate::frame::{ImageError, RgbImage, StereoFrame};
-use crate::localizer::ObjectLocalizer;
-use crate::marker::ColorMarkerObjectTracking;
-use crate::processor::{ImageFinding, ImageProcessor};
+use crate::localizer::{ObjectEstimate, ObjectLocalizer};
+use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
+use crate::processor::ImageProcessor;
 use crate::providers::{RawFrame, StereoPair};
-use crate::tabletop::TabletopSegmentation;
-use crate::tracking::FingerTipTracking;
-use crate::tracking::hand::HandObserver;
+use crate::tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
+use crate::tracking::hand::{HandObservation, HandObserver};
+use crate::tracking::{FingerTipTracking, TrackedFingertip};
+
+/// The frame of the left camera in what a step observes.
+const CAMERA: &str = "camera";
+/// Variance of a palm's position along each axis, m²: the observer gives none, and the palm's centre is known to
+/// about 1 cm.
+const PALM: f64 = 1e-4;
+/// Variance of the middle of a table's visible part along each axis, m².
+const TABLE: f64 = 1e-4;
+/// Confidence of an object on a table after one observation.
+const THING: f64 = 0.8;
+/// Core segments.
+const OBJECTS: &str = "ObjectInstances";
+const HANDS: &str = "HumanHands";
+const ENVIRONMENT: &str = "EnvironmentModels";
 
 /// A processor of one provider of stereo pairs.
 pub trait StereoStep: Send {
@@ -22,8 +39,23 @@ pub trait StereoStep: Send {
         let _ = frame;
         None
     }
-    /// Processes a frame.
-    fn step(&mut self, frame: &StereoFrame) -> ImageFinding;
+    /// Processes a frame. Places are in the frame `camera` of the left camera, or in `root` as the frame's `root_from_left` says.
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation>;
+    /// Draws what it saw in the last frame into its left image.
+    fn draw(&self, image: &mut RgbImage);
+}
+
+/// What a step observes in a frame, with all places in `frame_of_root`, the frame of its `root_from_left`.
+pub fn observe(step: &mut dyn StereoStep, frame: &StereoFrame, frame_of_root: &Frame) -> Vec<Observation> {
+    let (camera, root) = (Frame::from(CAMERA), Frame::root());
+    let moved = |seen: Observation| {
+        let seen = seen.moved(&camera, &root, &frame.root_from_left);
+        match *frame_of_root == root {
+            true => seen,
+            false => seen.moved(&root, frame_of_root, &Isometry3::identity()),
+        }
+    };
+    step.step(frame).into_iter().map(moved).collect()
 }
 
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].
@@ -44,91 +76,244 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         self.step.name()
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<ImageFinding, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
         if let Some(what) = self.step.missing_input(frame) {
             return Err(ImageError::Spoilt { provider: self.pair.provider().into(), what });
         }
-        Ok(self.step.step(&self.pair.frame(frame)?))
+        // A provider that does not say where its camera is observes in its own frame.
+        let frame_of_root = match frame.root_from_camera {
+            Some(_) => Frame::root(),
+            None => Frame(frame.frame_id.clone()),
+        };
+        Ok(observe(&mut self.step, &self.pair.frame(frame)?, &frame_of_root))
     }
 
-    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &ImageFinding) -> Option<RgbImage> {
+    fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
         let mut image = self.pair.frame(frames.first()?).ok()?.left;
-        finding.draw(&mut image);
+        self.step.draw(&mut image);
         Some(image)
     }
 }
 
-impl ImageFinding {
-    /// Draws the finding into the left image.
-    pub fn draw(&self, image: &mut RgbImage) {
-        match self {
-            Self::Marker(marker) => marker.iter().for_each(|marker| annotate::marker(image, marker)),
-            Self::Object(object) => object.iter().for_each(|object| annotate::object(image, object)),
-            Self::Hand(hand) => hand.iter().for_each(|hand| annotate::hand(image, hand)),
-            Self::Tabletop(seen) => {
-                let objects = seen.iter().flat_map(|seen| &seen.objects);
-                objects.for_each(|o| annotate::region(image, &o.bounding_box, [255, 0, 255]));
-            }
-            Self::Fingertips(tips) => {
-                tips.iter().for_each(|tip| annotate::circle(image, &tip.px, tip.radius, [255, 0, 255]));
-            }
-        }
+fn in_camera(point: &Point3<f64>, covariance: &Matrix3<f64>) -> ObservedPlace {
+    ObservedPlace::new(&Frame::from(CAMERA), &point.coords, covariance)
+}
+
+fn vector(v: Vector3<f64>) -> Value {
+    Value::Vector(Vector::new(Frame::from(CAMERA), &v))
+}
+
+fn root_pose(pose: &Isometry3<f64>) -> Value {
+    Value::Pose(Pose::new(Frame::root(), pose))
+}
+
+/// A person's hand as `HumanHands/.../hand`, with its `gesture`; `none` without a hand.
+pub struct HandStep {
+    observer: HandObserver,
+    last: Option<HandObservation>,
+}
+
+impl HandStep {
+    /// The step around an observer.
+    pub fn new(observer: HandObserver) -> Self {
+        Self { observer, last: None }
     }
 }
 
-impl StereoStep for ColorMarkerObjectTracking {
+impl StereoStep for HandStep {
+    fn name(&self) -> &str {
+        "hand"
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.last = self.observer.update(frame);
+        let observation = Observation::new(HANDS, "hand", frame.stamp_ns);
+        let Some(hand) = &self.last else { return vec![observation.with("gesture", "none")] };
+        let tips = hand.fingertips.iter().filter_map(|tip| tip.in_left);
+        let seen = observation
+            .at(in_camera(&hand.palm_in_left, &(Matrix3::identity() * PALM)))
+            .with_confidence(hand.confidence)
+            .with("gesture", hand.gesture.name())
+            .with("hidden", hand.hidden)
+            .with("fingertips", tips.map(|tip| vector(tip.coords)).collect::<Vec<_>>());
+        vec![match hand.pointing {
+            Some(direction) => seen.with("direction", vector(direction)),
+            None => seen,
+        }]
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        self.last.iter().for_each(|hand| annotate::hand(image, hand));
+    }
+}
+
+/// A thing of one colour, as `ObjectInstances` of its class. One that is not seen is not observed.
+pub struct MarkerStep {
+    tracking: ColorMarkerObjectTracking,
+    class: String,
+    last: Option<MarkerEstimate>,
+}
+
+impl MarkerStep {
+    /// The step around a tracker of a thing of this class.
+    pub fn new(tracking: ColorMarkerObjectTracking, class: &str) -> Self {
+        Self { tracking, class: class.into(), last: None }
+    }
+}
+
+impl StereoStep for MarkerStep {
     fn name(&self) -> &str {
         "marker"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
-        ImageFinding::Marker(self.update(frame))
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.last = self.tracking.update(frame);
+        let seen = |marker: &MarkerEstimate| {
+            Observation::new(OBJECTS, &self.class, frame.stamp_ns)
+                .at(in_camera(&marker.point_in_left, &marker.covariance))
+                .with_confidence(marker.visible)
+        };
+        self.last.iter().map(seen).collect()
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        self.last.iter().for_each(|marker| annotate::marker(image, marker));
     }
 }
 
-impl StereoStep for ObjectLocalizer {
+/// A box of known colour and size, as `ObjectInstances` of its class, with its pose. One that is not seen is not observed.
+pub struct ObjectStep {
+    localizer: ObjectLocalizer,
+    class: String,
+    last: Option<ObjectEstimate>,
+}
+
+impl ObjectStep {
+    /// The step around a localizer of boxes of this class.
+    pub fn new(localizer: ObjectLocalizer, class: &str) -> Self {
+        Self { localizer, class: class.into(), last: None }
+    }
+}
+
+impl StereoStep for ObjectStep {
     fn name(&self) -> &str {
         "object"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
-        ImageFinding::Object(self.localize(frame))
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.last = self.localizer.localize(frame);
+        let seen = |object: &ObjectEstimate| {
+            let pose = &object.root_from_object;
+            let covariance = object.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            Observation::new(OBJECTS, &self.class, frame.stamp_ns)
+                .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &covariance))
+                .with_confidence(object.visible)
+                .with("pose", root_pose(pose))
+        };
+        self.last.iter().map(seen).collect()
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        self.last.iter().for_each(|object| annotate::object(image, object));
     }
 }
 
-impl StereoStep for TabletopSegmentation {
+/// A table as `EnvironmentModels/.../table`, and what is on it as `ObjectInstances` of class `thing`.
+pub struct TabletopStep {
+    segmentation: TabletopSegmentation,
+    last: Option<Tabletop>,
+}
+
+impl TabletopStep {
+    /// The step around a segmentation.
+    pub fn new(segmentation: TabletopSegmentation) -> Self {
+        Self { segmentation, last: None }
+    }
+}
+
+impl StereoStep for TabletopStep {
     fn name(&self) -> &str {
         "tabletop"
     }
 
     fn missing_input(&self, frame: &RawFrame) -> Option<String> {
-        self.missing_input(frame)
+        self.segmentation.missing_input(frame)
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
-        ImageFinding::Tabletop(self.segment(frame))
-    }
-}
-
-impl StereoStep for HandObserver {
-    fn name(&self) -> &str {
-        "hand"
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.last = self.segmentation.segment(frame);
+        let Some(Tabletop { table, objects }) = &self.last else { return Vec::new() };
+        let things = objects.iter().map(|object| thing(object, frame.stamp_ns));
+        [table_seen(table, frame.stamp_ns)].into_iter().chain(things).collect()
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
-        ImageFinding::Hand(self.update(frame))
+    fn draw(&self, image: &mut RgbImage) {
+        let objects = self.last.iter().flat_map(|seen| &seen.objects);
+        objects.for_each(|object| annotate::region(image, &object.bounding_box, [255, 0, 255]));
     }
 }
 
-impl StereoStep for FingerTipTracking {
+fn table_seen(table: &TableEstimate, stamp_ns: u64) -> Observation {
+    let pose = &table.root_from_table;
+    Observation::new(ENVIRONMENT, "table", stamp_ns)
+        .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &(Matrix3::identity() * TABLE)))
+        .with("pose", root_pose(pose))
+        .with("size", [table.size[0], table.size[1], 0.0])
+}
+
+fn thing(object: &TableObject, stamp_ns: u64) -> Observation {
+    let pose = &object.root_from_object;
+    let color: Vec<f64> = object.color.iter().map(|c| f64::from(*c)).collect();
+    Observation::new(OBJECTS, "thing", stamp_ns)
+        .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &object.covariance))
+        .with_confidence(THING)
+        .with("pose", root_pose(pose))
+        .with("size", object.size.as_slice().to_vec())
+        .with("color", color)
+}
+
+/// The fingertips of a hand, followed: `HumanHands/.../hand` with `fingertips` in space and `tips_px` in the left image.
+pub struct FingertipStep {
+    tracking: FingerTipTracking,
+    last: Vec<TrackedFingertip>,
+}
+
+impl FingertipStep {
+    /// The step around a tracker.
+    pub fn new(tracking: FingerTipTracking) -> Self {
+        Self { tracking, last: Vec::new() }
+    }
+}
+
+impl StereoStep for FingertipStep {
     fn name(&self) -> &str {
         "fingertips"
     }
 
-    fn step(&mut self, frame: &StereoFrame) -> ImageFinding {
-        ImageFinding::Fingertips(self.update(frame))
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.last = self.tracking.update(frame);
+        if self.last.is_empty() {
+            return Vec::new();
+        }
+        let tips = self.last.iter().filter_map(|tip| tip.in_left).map(|tip| vector(tip.coords));
+        let in_image = self.last.iter().map(|tip| {
+            Value::record([
+                ("id", Value::Int(i64::try_from(tip.id).unwrap_or(i64::MAX))),
+                ("x", Value::Float(tip.px.x)),
+                ("y", Value::Float(tip.px.y)),
+                ("score", Value::Float(tip.score)),
+            ])
+        });
+        let seen = Observation::new(HANDS, "hand", frame.stamp_ns)
+            .with("fingertips", tips.collect::<Vec<_>>())
+            .with("tips_px", in_image.collect::<Vec<_>>());
+        vec![seen]
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        self.last.iter().for_each(|tip| annotate::circle(image, &tip.px, tip.radius, [255, 0, 255]));
     }
 }

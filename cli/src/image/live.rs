@@ -6,23 +6,23 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
+use armarium_memoryx::RemoteMemory;
 use armarium_memoryx::updater::Updater;
-use armarium_memoryx::{Memory, RemoteMemory};
+use armarium_values::{Observation, Value};
 use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
-    ColorMarkerObjectTracking, FindingSource, HandObserver, ImageError, ImageFinding, ImageProcessor,
-    MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, TabletopSegmentation, Trigger,
-    run_processor,
+    ColorMarkerObjectTracking, FingertipStep, HandObserver, HandStep, ImageError, ImageProcessor,
+    MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy,
+    TabletopSegmentation, TabletopStep, Trigger, run_processor,
 };
 use async_trait::async_trait;
-use nalgebra::UnitQuaternion;
-use serde_json::json;
+use serde_json::{Value as Json, json};
 use tokio::sync::mpsc;
 
 use super::{Failure, ProcessArgs, argument, failed, source};
 use crate::stopped::stopped;
-use armarium_host::{Connection, image_findings};
+use armarium_host::Connection;
 use parking_lot::Mutex;
 
 /// Findings that may wait to be printed and committed.
@@ -45,37 +45,38 @@ impl Look {
     fn processor(self, pair: StereoPair, color: [u8; 3]) -> Box<dyn ImageProcessor> {
         let calibration = pair.calibration();
         match self {
-            Self::Hand => Box::new(OfStereo::new(HandObserver::new(calibration), pair)),
+            Self::Hand => Box::new(OfStereo::new(HandStep::new(HandObserver::new(calibration)), pair)),
             Self::Fingertips => {
                 let tracking = FingerTipTracking::new(calibration, FingerTipSettings::default());
-                Box::new(OfStereo::new(tracking, pair))
+                Box::new(OfStereo::new(FingertipStep::new(tracking), pair))
             }
             Self::Marker => {
                 let tracking = ColorMarkerObjectTracking::new(calibration, MarkerSettings::new(color), 1);
-                Box::new(OfStereo::new(tracking, pair))
+                Box::new(OfStereo::new(MarkerStep::new(tracking, "marker"), pair))
             }
-            Self::Tabletop => Box::new(OfStereo::new(TabletopSegmentation::new(calibration.camera), pair)),
+            Self::Tabletop => Box::new(OfStereo::new(
+                TabletopStep::new(TabletopSegmentation::new(calibration.camera)),
+                pair,
+            )),
         }
     }
 }
 
 /// Passes findings on; the processor never waits for the printer or the memory.
 struct HandOn {
-    to: Mutex<Option<mpsc::Sender<(FindingSource, ImageFinding)>>>,
+    to: Mutex<Option<mpsc::Sender<(SeenBy, Vec<Observation>)>>>,
     dropped: AtomicU64,
     taken: AtomicBool,
     left: Mutex<Option<u64>>,
-    /// The rotation from the findings' axes to those of the provider's left camera.
-    camera_from_pair: UnitQuaternion<f64>,
 }
 
 #[async_trait]
 impl ResultSink for HandOn {
-    async fn take(&self, source: &FindingSource, finding: ImageFinding) -> bool {
+    async fn take(&self, by: &SeenBy, seen: Vec<Observation>) -> bool {
         self.taken.store(true, Ordering::Relaxed);
         let to = self.to.lock().clone();
         let Some(to) = to else { return false };
-        match to.try_send((source.clone(), turned(finding, &self.camera_from_pair))) {
+        match to.try_send((by.clone(), seen)) {
             Ok(()) => {}
             Err(mpsc::error::TrySendError::Full(_)) => {
                 self.dropped.fetch_add(1, Ordering::Relaxed);
@@ -87,20 +88,6 @@ impl ResultSink for HandOn {
         *left = left.map(|left| left.saturating_sub(1));
         *left != Some(0)
     }
-}
-
-/// Converts the positions of rectified pairs to the provider's left camera.
-fn turned(mut finding: ImageFinding, camera_from_pair: &UnitQuaternion<f64>) -> ImageFinding {
-    match &mut finding {
-        ImageFinding::Hand(Some(hand)) => hand.palm_in_left = camera_from_pair * hand.palm_in_left,
-        ImageFinding::Marker(Some(marker)) => {
-            let rotation = camera_from_pair.to_rotation_matrix();
-            marker.point_in_left = camera_from_pair * marker.point_in_left;
-            marker.covariance = rotation * marker.covariance * rotation.transpose();
-        }
-        _ => {}
-    }
-    finding
 }
 
 /// Processes until the provider ends, the number of frames is reached, or Ctrl-C.
@@ -117,13 +104,12 @@ pub(super) async fn run(
         }
         Some(_) => return Err(argument("--rate is greater than 0")),
     };
-    let camera_from_pair = pair.left_from_pair();
     let mut processor = args.look.processor(pair, args.color);
     let remembers = match &args.memory {
         Some(agent) => {
             let memory = Arc::new(RemoteMemory::connect(connection.session(), agent).await.map_err(failed)?);
-            let updater = Updater::new(Arc::<RemoteMemory>::clone(&memory), processor.name());
-            Some((memory, updater.map_err(failed)?))
+            let updater = Updater::new(memory, processor.name());
+            Some(updater.map_err(failed)?)
         }
         None => None,
     };
@@ -142,7 +128,6 @@ pub(super) async fn run(
         dropped: AtomicU64::new(0),
         taken: AtomicBool::new(false),
         left: Mutex::new(args.frames),
-        camera_from_pair,
     };
     let with = ProcessorLoop {
         inputs: vec![Arc::clone(&source.provider)],
@@ -161,7 +146,7 @@ pub(super) async fn run(
         }
     };
     let both = async {
-        let (processed, told) = tokio::join!(processing, tell(told, remembers, &described.frame_id, out));
+        let (processed, told) = tokio::join!(processing, tell(told, remembers, out));
         told.and(processed)
     };
     let ended = tokio::select! {
@@ -186,23 +171,33 @@ pub(super) async fn run(
     }
 }
 
-/// Prints and commits findings, until there are no more.
+/// Prints observations and writes them to memory, until there are no more.
 async fn tell(
-    mut told: mpsc::Receiver<(FindingSource, ImageFinding)>,
-    remembers: Option<(Arc<RemoteMemory>, Updater)>,
-    frame_id: &str,
+    mut told: mpsc::Receiver<(SeenBy, Vec<Observation>)>,
+    remembers: Option<Updater>,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    while let Some((source, finding)) = told.recv().await {
-        writeln!(out, "{}", image_findings::line(&source, &finding))?;
-        let Some((memory, updater)) = &remembers else { continue };
-        let observations = image_findings::observations(&source, &finding, frame_id);
-        if !observations.is_empty() {
-            updater.update(&observations).await.map_err(failed)?;
-        }
-        if let Some(commit) = image_findings::surroundings(&source, &finding).map_err(failed)? {
-            memory.commit(vec![commit]).await.map_err(failed)?;
+    while let Some((by, seen)) = told.recv().await {
+        writeln!(out, "{}", line(&by, &seen))?;
+        if let Some(updater) = &remembers {
+            updater.update(&seen).await.map_err(failed)?;
         }
     }
     Ok(())
+}
+
+/// What was observed in a frame, as a line of JSON.
+fn line(by: &SeenBy, seen: &[Observation]) -> Json {
+    let one = |seen: &Observation| {
+        let mut said = Value::Map(seen.attributes.clone()).to_json();
+        (said["class"], said["confidence"]) = (seen.class.as_str().into(), seen.confidence.into());
+        if let Some(place) = &seen.place {
+            said["position"] = json!(place.position.components);
+            said["frame"] = place.position.frame.0.as_str().into();
+        }
+        said
+    };
+    let mut line = json!({"provider": by.provider, "stamp_ns": by.stamp_ns});
+    line[by.processor.as_str()] = seen.iter().map(one).collect();
+    line
 }

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use armarium_values::Value;
+use armarium_values::{Observation, ObservedPlace, Value, Vector};
 use tokio::task::JoinSet;
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
@@ -18,7 +18,7 @@ use crate::error::MemoryError;
 use crate::follow::{Change, Follower, LastSeen};
 use crate::memory::{Memory, pages};
 use crate::query::{Pattern, Query};
-use crate::updater::{OBJECT_INSTANCES, Observation, Updater};
+use crate::updater::{OBJECT_INSTANCES, Updater};
 use crate::working::WorkingMemory;
 
 mod agents;
@@ -240,14 +240,12 @@ impl FollowTask {
         let moved = Snapshot { instances: vec![moved], ..snapshot.clone() };
         let (frame, components) = crate::place::place_of(&moved)?;
         let class = moved.attribute("class")?.as_str()?.to_owned();
-        (snapshot.id.segment() == OBJECT_INSTANCES).then(|| Observation {
-            class,
-            stamp_ns: snapshot.referenced_ns,
-            position: armarium_values::Vector { frame: frame.clone(), components },
+        let place = ObservedPlace {
+            position: Vector { frame: frame.clone(), components },
             covariance: rows.unwrap_or([1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4]),
-            confidence,
-            attributes: BTreeMap::new(),
-        })
+        };
+        let observation = Observation::new(OBJECT_INSTANCES, &class, snapshot.referenced_ns);
+        (snapshot.id.segment() == OBJECT_INSTANCES).then(|| observation.at(place).with_confidence(confidence))
     }
 }
 

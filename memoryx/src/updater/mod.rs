@@ -4,15 +4,18 @@
 //! 1. Each known entity of the class is predicted to the time of the observation ([`MotionModel`]).
 //! 2. Observations and entities are assigned to each other with the least sum of squared Mahalanobis distances; an
 //!    observation without an entity inside the gate becomes a new entity.
-//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class.
+//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class. People's hands and bodies
+//!    move as they like: their last observation counts alone.
 //!
+//! An observation is addressed to a core segment. One without a place says of the entity of its class what else is observed,
+//! for instance that no hand is there.
 //! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Value, Vector};
-use nalgebra::{Matrix3, Vector3};
+use armarium_values::{Frame, Observation, ObservedPlace, Value, Vector};
+use nalgebra::Matrix3;
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
@@ -33,23 +36,6 @@ pub const OBJECT_INSTANCES: &str = "ObjectInstances";
 /// How often an update tries again after a conflict with another writer.
 const MAX_TRIES: u32 = 8;
 
-/// An object observed at a position.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Observation {
-    /// The class of the object.
-    pub class: String,
-    /// The time of the observation, ns.
-    pub stamp_ns: u64,
-    /// The position of its centre, m.
-    pub position: Vector,
-    /// Covariance of the position, m², row by row.
-    pub covariance: [f64; 9],
-    /// Confidence, 0 to 1.
-    pub confidence: f64,
-    /// Other observed attributes.
-    pub attributes: BTreeMap<String, Value>,
-}
-
 /// Settings of the updater.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -60,13 +46,18 @@ pub struct Settings {
     pub drift: f64,
     /// The same for a carried object, because grasps slip.
     pub carried_drift: f64,
+    /// The same for people's hands and bodies.
+    pub moving_drift: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5 }
+        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5, moving_drift: 0.5 }
     }
 }
+
+/// Core segments of what moves by itself, so that earlier observations say little.
+const MOVING: [&str; 2] = ["HumanHands", "HumanPoses"];
 
 /// The entity of an observation.
 struct Match<'h> {
@@ -78,7 +69,7 @@ struct Match<'h> {
     predicted: Option<Gaussian>,
 }
 
-/// Writes observations into the provider segment of one process.
+/// Writes observations into the provider segments of one process.
 pub struct Updater {
     memory: Arc<dyn Memory>,
     carriers: Arc<dyn Carriers>,
@@ -87,7 +78,7 @@ pub struct Updater {
 }
 
 impl Updater {
-    /// An updater of `ObjectInstances/{provider}`.
+    /// An updater of `{segment}/{provider}`, where the segment is that of each observation.
     ///
     /// # Errors
     /// [`MemoryError::Name`] when the provider's name is not valid in an address.
@@ -130,41 +121,38 @@ impl Updater {
     }
 
     async fn updates(&self, observations: &[Observation]) -> Result<Vec<Commit>, MemoryError> {
-        let pattern = Pattern::segment(OBJECT_INSTANCES).of_provider(&self.provider);
-        let held = self.memory.query(&Query::latest(pattern)).await?;
         let classes = self.memory.segment(OBJECT_CLASSES).await?;
         let mut updates = vec![None; observations.len()];
-        let mut names: Vec<String> = held.iter().map(|s| s.id.entity().to_owned()).collect();
-        let mut kinds: Vec<(&str, &Frame)> = Vec::new();
-        for observation in observations {
-            let kind = (observation.class.as_str(), &observation.position.frame);
-            if !kinds.contains(&kind) {
-                kinds.push(kind);
-            }
-        }
-        for (class, frame) in kinds {
-            let seen: Vec<usize> = (0..observations.len())
-                .filter(|i| observations[*i].class == class && observations[*i].position.frame == *frame)
-                .collect();
-            let known: Vec<&Arc<Snapshot>> =
-                held.iter().filter(|s| s.attribute("class").and_then(Value::as_str) == Some(class)).collect();
-            for matched in self.match_class(observations, &seen, &known, &held)? {
-                let observation = &observations[matched.observation];
-                let update = match matched.entity {
-                    Some(entity) => self.fused(observation, entity, matched.predicted)?,
-                    None => {
-                        let name = free_name(class, &names);
-                        names.push(name.clone());
-                        self.created(observation, &name, &classes)?
-                    }
-                };
-                updates[matched.observation] = Some(update);
+        for segment in distinct(observations.iter().map(|o| o.segment.as_str())) {
+            let pattern = Pattern::segment(segment).of_provider(&self.provider);
+            let held = self.memory.query(&Query::latest(pattern)).await?;
+            let mut names: Vec<String> = held.iter().map(|s| s.id.entity().to_owned()).collect();
+            let of_segment = observations.iter().filter(|o| o.segment == segment);
+            for kind in distinct(of_segment.map(kind_of)) {
+                let seen: Vec<usize> = (0..observations.len())
+                    .filter(|i| observations[*i].segment == segment && kind_of(&observations[*i]) == kind)
+                    .collect();
+                let is_of_class =
+                    |s: &&Arc<Snapshot>| s.attribute("class").and_then(Value::as_str) == Some(kind.0);
+                let known: Vec<&Arc<Snapshot>> = held.iter().filter(is_of_class).collect();
+                for matched in self.match_class(observations, &seen, &known, &held)? {
+                    let observation = &observations[matched.observation];
+                    let update = match matched.entity {
+                        Some(entity) => self.fused(observation, entity, matched.predicted)?,
+                        None => {
+                            let name = free_name(kind.0, &names);
+                            names.push(name.clone());
+                            self.created(observation, &name, &classes)?
+                        }
+                    };
+                    updates[matched.observation] = Some(update);
+                }
             }
         }
         Ok(updates.into_iter().flatten().collect())
     }
 
-    /// Matches the observations of one class to entities, with the entities' predicted positions.
+    /// Matches the observations of one class and frame to entities, with the entities' predicted positions.
     fn match_class<'h>(
         &self,
         observations: &[Observation],
@@ -172,18 +160,29 @@ impl Updater {
         known: &[&'h Arc<Snapshot>],
         held: &[Arc<Snapshot>],
     ) -> Result<Vec<Match<'h>>, MemoryError> {
+        // What has no place may be the entity, if nothing fits better.
+        let unplaced = 0.999 * self.settings.gate;
         let mut predicted = Vec::new();
         let mut costs = Vec::new();
         for at in seen {
             let observation = &observations[*at];
-            let measured = measured(observation, &self.provider)?;
+            let measured = self.measured(observation)?;
+            let settings = match is_moving(observation) {
+                true => Settings { drift: self.settings.moving_drift, ..self.settings },
+                false => self.settings,
+            };
             let mut row = Vec::new();
             for entity in known {
-                let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &self.settings);
-                let prior = prior.filter(|(frame, _)| *frame == observation.position.frame).map(|(_, p)| p);
-                let cost = prior.as_ref().and_then(|prior| prior.distance_squared(&measured));
-                row.push(cost.filter(|d| *d <= self.settings.gate).unwrap_or(f64::INFINITY));
-                predicted.push(prior);
+                let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &settings);
+                let cost = match (&prior, &observation.place, &measured) {
+                    (Some((frame, prior)), Some(place), Some(measured)) if *frame == place.position.frame => {
+                        prior.distance_squared(measured).filter(|d| *d <= self.settings.gate)
+                    }
+                    (Some(_), Some(_), _) => None,
+                    _ => Some(unplaced),
+                };
+                row.push(cost.unwrap_or(f64::INFINITY));
+                predicted.push(prior.map(|(_, prior)| prior));
             }
             // A new entity costs as much as a distance equal to the gate.
             row.extend((0..seen.len()).map(|_| self.settings.gate));
@@ -210,13 +209,18 @@ impl Updater {
         entity: &Snapshot,
         prior: Option<Gaussian>,
     ) -> Result<Commit, MemoryError> {
-        let measured = measured(observation, &self.provider)?;
-        let fused = prior.and_then(|prior| prior.fuse(&measured)).unwrap_or(measured);
-        let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
-        let (mut attributes, confidence) = before.unwrap_or_default();
-        attributes.extend(observation.attributes.clone());
-        let confidence = fuse_confidence(confidence, observation.confidence);
-        let commit = place(observation, entity.id.clone(), attributes, &fused, confidence);
+        let measured = self.measured(observation)?;
+        let id = entity.id.clone();
+        let commit = if is_moving(observation) {
+            place(observation, id, observation.attributes.clone(), measured, observation.confidence)
+        } else {
+            let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
+            let (mut attributes, confidence) = before.unwrap_or_default();
+            attributes.extend(observation.attributes.clone());
+            let fused = measured.map(|seen| prior.and_then(|prior| prior.fuse(&seen)).unwrap_or(seen));
+            let confidence = fuse_confidence(confidence, observation.confidence);
+            place(observation, id, attributes, fused, confidence)
+        };
         Ok(commit.expecting(entity.version))
     }
 
@@ -226,12 +230,43 @@ impl Updater {
         name: &str,
         classes: &[Arc<Snapshot>],
     ) -> Result<Commit, MemoryError> {
-        let id = EntityId::new(OBJECT_INSTANCES, &self.provider, name)?;
+        let id = EntityId::new(&observation.segment, &self.provider, name)?;
         let mut attributes = enrichment(&observation.class, classes);
         attributes.extend(observation.attributes.clone());
-        let measured = measured(observation, &self.provider)?;
-        Ok(place(observation, id, attributes, &measured, observation.confidence))
+        let measured = self.measured(observation)?;
+        Ok(place(observation, id, attributes, measured, observation.confidence))
     }
+
+    /// The observed position; `None` of an observation without a place.
+    fn measured(&self, observation: &Observation) -> Result<Option<Gaussian>, MemoryError> {
+        let Some(ObservedPlace { position, covariance }) = &observation.place else { return Ok(None) };
+        let gaussian = Gaussian::new(position.vector(), Matrix3::from_row_slice(covariance));
+        gaussian.map(Some).ok_or_else(|| MemoryError::Schema {
+            id: format!("{}/{}/{}", observation.segment, self.provider, observation.class),
+            attribute: "position".into(),
+            what: "needs finite numbers and a symmetric positive definite covariance, m²".into(),
+        })
+    }
+}
+
+fn is_moving(observation: &Observation) -> bool {
+    MOVING.contains(&observation.segment.as_str())
+}
+
+/// What observations must have in common to be told from each other by their places: class and frame.
+fn kind_of(observation: &Observation) -> (&str, Option<&Frame>) {
+    (&observation.class, observation.place.as_ref().map(|place| &place.position.frame))
+}
+
+/// Each item once, in the order in which it came first.
+fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut kept = Vec::new();
+    for item in items {
+        if !kept.contains(&item) {
+            kept.push(item);
+        }
+    }
+    kept
 }
 
 /// The prior knowledge of a class: size, colour, mass, and its source.
@@ -244,33 +279,28 @@ pub fn enrichment(class: &str, classes: &[Arc<Snapshot>]) -> BTreeMap<String, Va
     attributes
 }
 
-fn measured(observation: &Observation, provider: &str) -> Result<Gaussian, MemoryError> {
-    let mean = Vector3::from(observation.position.components);
-    let covariance = Matrix3::from_row_slice(&observation.covariance);
-    Gaussian::new(mean, covariance).ok_or_else(|| MemoryError::Schema {
-        id: format!("{OBJECT_INSTANCES}/{provider}/{}", observation.class),
-        attribute: "position".into(),
-        what: "needs finite numbers and a symmetric positive definite covariance, m²".into(),
-    })
-}
-
+/// The commit of an observation whose entity is now at `place`, if it has a place.
 fn place(
     observation: &Observation,
     id: EntityId,
     mut attributes: BTreeMap<String, Value>,
-    place: &Gaussian,
+    place: Option<Gaussian>,
     confidence: f64,
 ) -> Commit {
-    let position = Vector::new(observation.position.frame.clone(), &place.mean());
     attributes.insert("class".into(), observation.class.clone().into());
-    attributes.insert("position".into(), position.into());
-    // A known pose moves with the position.
-    if let Some(Value::Pose(pose)) = attributes.get_mut("pose") {
-        pose.position = place.mean().into();
+    let mut instance = Instance::new(BTreeMap::new()).with_confidence(confidence);
+    if let (Some(place), Some(observed)) = (place, &observation.place) {
+        let position = Vector::new(observed.position.frame.clone(), &place.mean());
+        attributes.insert("position".into(), position.into());
+        // A known pose moves with the position.
+        if let Some(Value::Pose(pose)) = attributes.get_mut("pose") {
+            pose.position = place.mean().into();
+        }
+        let rows = place.covariance().transpose().as_slice().to_vec();
+        instance = instance.with_covariance("position", rows);
     }
-    let instance = Instance::new(attributes).with_confidence(confidence);
-    let rows = place.covariance().transpose().as_slice().to_vec();
-    let instances = vec![instance.with_covariance("position", rows)];
+    instance.attributes = attributes.into();
+    let instances = vec![instance];
     Commit { id, referenced_ns: observation.stamp_ns, instances, expected_version: None }
 }
 

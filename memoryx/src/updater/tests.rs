@@ -1,6 +1,7 @@
 //! The updater compared with closed forms: matching, fusion, prediction and enrichment.
 
 use armarium_values::Pose;
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -23,15 +24,9 @@ fn updater(memory: &Arc<WorkingMemory>) -> Updater {
 }
 
 fn cup(seconds: f64, x: f64, y: f64) -> Observation {
-    let variance = Matrix3::<f64>::identity() * VARIANCE;
-    Observation {
-        class: "cup".into(),
-        stamp_ns: (seconds * 1e9) as u64,
-        position: Vector { frame: Frame::root(), components: [x, y, 1.0] },
-        covariance: variance.as_slice().try_into().unwrap(),
-        confidence: 0.6,
-        attributes: BTreeMap::new(),
-    }
+    let place =
+        ObservedPlace::new(&Frame::root(), &Vector3::new(x, y, 1.0), &(Matrix3::identity() * VARIANCE));
+    Observation::new(OBJECT_INSTANCES, "cup", (seconds * 1e9) as u64).at(place).with_confidence(0.6)
 }
 
 fn names(found: &[(EntityId, u64)]) -> Vec<(&str, u64)> {
@@ -141,9 +136,33 @@ async fn what_is_carried_moves_with_its_carrier() {
 async fn what_cannot_be_an_observation_is_refused_whole() {
     let memory = memory();
     let updater = updater(&memory);
-    let bad = Observation { covariance: [0.0; 9], ..cup(0.0, 0.0, 0.0) };
+    let mut bad = cup(0.0, 0.0, 0.0);
+    bad.place.as_mut().unwrap().covariance = [0.0; 9];
     let refused = updater.update(&[cup(0.0, 1.0, 0.0), bad]).await;
     assert!(matches!(refused, Err(MemoryError::Schema { .. })), "{refused:?}");
     assert_eq!(memory.query_now(&Query::latest(Pattern::segment(OBJECT_INSTANCES))).unwrap().len(), 0);
     assert!(Updater::new(memory, "a/b").is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_hand_is_where_it_was_seen_last_and_is_still_the_hand_after_it_was_gone() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let hand = |seconds: f64, x: f64| Observation {
+        segment: "HumanHands".into(),
+        class: "hand".into(),
+        ..cup(seconds, x, 0.0).with("gesture", "fist")
+    };
+    let none = Observation::new("HumanHands", "hand", 200_000_000).with("gesture", "none");
+    for (seen, x) in
+        [(hand(0.0, 0.1), Some(0.1)), (hand(0.1, 0.3), Some(0.3)), (none, None), (hand(0.3, 0.9), Some(0.9))]
+    {
+        let found = updater.update(&[seen]).await.unwrap();
+        assert_eq!(found[0].0.as_str(), "HumanHands/vision/hand");
+        let hand = memory.latest_now(&found[0].0).unwrap();
+        let place = hand.attribute("position").and_then(Value::as_vector3);
+        assert_eq!(place.map(|place| place[0]), x);
+    }
+    let two = updater.update(&[hand(0.4, 0.95), hand(0.4, -0.9)]).await.unwrap();
+    assert_eq!(names(&two), [("hand", 5), ("hand_2", 1)]);
 }

@@ -1,4 +1,4 @@
-//! From streams of frames to a stream of results: the processor, the sink of its results, and the loop that runs it.
+//! From streams of frames to a stream of observations: the processor, the sink of what it observes, and the loop that runs it.
 //!
 //! It does not know where frames come from; see [`crate::providers`].
 
@@ -10,35 +10,16 @@ use async_trait::async_trait;
 use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
+use armarium_values::Observation;
+
 use crate::frame::{ImageError, RgbImage};
-use crate::localizer::ObjectEstimate;
-use crate::marker::MarkerEstimate;
 use crate::providers::{FrameSender, ImageProvider, PixelFormat, RawFrame, RawImage};
-use crate::tabletop::Tabletop;
-use crate::tracking::TrackedFingertip;
-use crate::tracking::hand::HandObservation;
 
 pub use statistics::ProcessorStatistics;
 
-/// The finding of a processor in one frame.
-#[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum ImageFinding {
-    /// A marker of known colour; `None`: not found.
-    Marker(Option<MarkerEstimate>),
-    /// An object's pose; `None`: not found.
-    Object(Option<ObjectEstimate>),
-    /// A person's hand; `None`: no hand.
-    Hand(Option<HandObservation>),
-    /// A table with its objects; `None`: no table.
-    Tabletop(Option<Tabletop>),
-    /// The tracked fingertips.
-    Fingertips(Vec<TrackedFingertip>),
-}
-
-/// The frame and the processor of a finding.
+/// The frame and the processor of observations.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FindingSource {
+pub struct SeenBy {
     /// The processor's name.
     pub processor: String,
     /// The first provider's name.
@@ -47,30 +28,32 @@ pub struct FindingSource {
     pub stamp_ns: u64,
 }
 
-/// A processing step: takes one frame of each of its providers and returns a result. It may keep state between steps
+/// A processing step: takes one frame of each of its providers and returns what it observes. It may keep state between steps
 /// and must not block.
 pub trait ImageProcessor: Send {
     /// Its name.
     fn name(&self) -> &str;
 
-    /// Processes these frames, one of each provider.
+    /// Processes these frames, one of each provider. Places are in `root` where the frames say where the camera was, else in
+    /// the frames' own frame.
     ///
     /// # Errors
     /// [`ImageError`] when the frames do not suit this processor; later ones may.
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<ImageFinding, ImageError>;
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError>;
 
-    /// Draws the finding into a picture of the frames, for people; `None` when the processor draws nothing.
-    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &ImageFinding) -> Option<RgbImage> {
-        let _ = (frames, finding);
+    /// A picture of the frames that were processed last with what was seen in them, for people; `None` when the processor draws
+    /// nothing.
+    fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
+        let _ = frames;
         None
     }
 }
 
-/// Receives results: a memory, a report, a recorder. It must not wait for slow readers.
+/// Receives observations: a memory, a report, a recorder. It must not wait for slow readers.
 #[async_trait]
 pub trait ResultSink: Send + Sync {
-    /// Takes the result of one frame. Returns whether more is wanted; `false` ends the loop.
-    async fn take(&self, source: &FindingSource, finding: ImageFinding) -> bool;
+    /// Takes what was observed in one frame. Returns whether more is wanted; `false` ends the loop.
+    async fn take(&self, by: &SeenBy, seen: Vec<Observation>) -> bool;
 }
 
 /// When a processor takes frames.
@@ -88,7 +71,7 @@ pub struct ProcessorLoop<'a> {
     pub inputs: Vec<Arc<dyn ImageProvider>>,
     /// When it takes frames.
     pub trigger: Trigger,
-    /// The receiver of results.
+    /// The receiver of what it observes.
     pub sink: &'a dyn ResultSink,
     /// The sender of annotated images, if any.
     pub annotated: Option<&'a FrameSender>,
@@ -129,7 +112,7 @@ impl Drop for NewestFrame {
     }
 }
 
-/// Feeds frames to `processor` and its results to the sink, until the sink wants no more.
+/// Feeds frames to `processor` and what it observes to the sink, until the sink wants no more.
 ///
 /// # Errors
 /// [`ImageError::Gone`] when a provider is gone.
@@ -194,15 +177,15 @@ async fn step(
     provider: &str,
     frames: &[Arc<RawFrame>],
 ) -> bool {
-    let finding = match processor.process(frames) {
-        Ok(finding) => finding,
+    let seen = match processor.process(frames) {
+        Ok(seen) => seen,
         Err(error) => {
             with.statistics.count_unusable(processor.name(), &error);
             return true;
         }
     };
     if let Some(annotated) = with.annotated.filter(|to| to.is_wanted())
-        && let Some(image) = processor.annotated(frames, &finding)
+        && let Some(image) = processor.annotated(frames)
     {
         annotated.send(drawn(&frames[0], image));
     }
@@ -210,12 +193,12 @@ async fn step(
         with.statistics.torn.add(1);
         return true;
     }
-    let source = FindingSource {
+    let source = SeenBy {
         processor: processor.name().into(),
         provider: provider.into(),
         stamp_ns: frames[0].stamp_ns,
     };
-    with.sink.take(&source, finding).await
+    with.sink.take(&source, seen).await
 }
 
 /// The annotated image as a frame.

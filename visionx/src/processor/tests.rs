@@ -4,7 +4,7 @@ use super::*;
 use crate::image_source::ImageSource;
 use crate::providers::{ProviderDescription, StereoPair, StereoProvider, channel};
 use crate::scenes::{CALIBRATION, empty_frames};
-use crate::steps::OfStereo;
+use crate::steps::{HandStep, OfStereo};
 use crate::tracking::hand::HandObserver;
 use crate::{StereoCalibration, StereoFrame};
 
@@ -51,7 +51,7 @@ struct Count {
 
 #[async_trait]
 impl ResultSink for Count {
-    async fn take(&self, source: &FindingSource, _: ImageFinding) -> bool {
+    async fn take(&self, source: &SeenBy, _: Vec<Observation>) -> bool {
         assert_eq!(source.provider, "camera");
         self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
     }
@@ -75,7 +75,7 @@ async fn run(
 async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
     let (drawn, pictures) =
         channel(ProviderDescription { name: "drawn".into(), ..ProviderDescription::default() });
-    let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
+    let mut hand = OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
     let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
     assert!(ended.is_ok());
     assert_eq!((counts.frames.get(), counts.skipped.get(), counts.unusable.get()), (3, 0, 0));
@@ -93,9 +93,9 @@ impl ImageProcessor for Look {
         "look"
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<ImageFinding, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
         self.0.push(frames.iter().map(|frame| frame.number).collect());
-        Ok(ImageFinding::Hand(None))
+        Ok(Vec::new())
     }
 }
 
@@ -141,7 +141,7 @@ async fn frames_of_another_size_than_the_calibration_s_are_counted_and_the_next_
     let size = (CALIBRATION.camera.width, CALIBRATION.camera.height);
     let sizes = vec![size, (1, 1), (size.0 + 1, size.1), (1, 480), size];
     let camera: Arc<dyn ImageProvider> = Arc::new(Sizes(sizes, AtomicU64::new(0)));
-    let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
+    let mut hand = OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
     let (ended, counts) = run(&mut hand, vec![camera], Trigger::Next, 9, None).await;
     assert!(ended.is_err(), "the provider has gone");
     assert_eq!((counts.frames.get(), counts.unusable.get()), (5, 3));

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, UnitQuaternion};
+use nalgebra::Isometry3;
 
 use super::convert::{depth_of, rgb_of};
 use super::{NotStereo, ProviderDescription, RawFrame};
@@ -43,12 +43,6 @@ impl StereoPair {
     /// The calibration of the pairs.
     pub fn calibration(&self) -> StereoCalibration {
         self.calibration
-    }
-
-    /// Rotation from the axes of the pairs' left camera to those of the provider's left camera; identity unless
-    /// rectified.
-    pub fn left_from_pair(&self) -> UnitQuaternion<f64> {
-        self.rectification.as_ref().map_or_else(UnitQuaternion::identity, |r| r.left_from_rectified())
     }
 
     /// The pair in a frame.

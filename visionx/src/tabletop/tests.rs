@@ -6,10 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::*;
-use crate::processor::{ImageFinding, ImageProcessor};
+use crate::processor::ImageProcessor;
 use crate::providers::{ProviderDescription, RawImage, StereoPair, frame_of};
 use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
-use crate::steps::OfStereo;
+use crate::steps::{OfStereo, TabletopStep};
 
 const TOP: f64 = 0.90;
 
@@ -113,9 +113,10 @@ fn a_frame_without_place_or_depth_is_no_table_but_an_error_that_says_what_is_mis
     let stereo = Arc::new(frame_with_depth(&[table([150, 115, 80])], 0, 1));
     let whole = frame_of(&stereo, 1, "camera_left").unwrap();
     let pair = StereoPair::of(&ProviderDescription::of_stereo("eyes", "camera_left", &CALIBRATION)).unwrap();
-    let mut tabletop = OfStereo::new(TabletopSegmentation::new(CALIBRATION.camera), pair);
+    let mut tabletop = OfStereo::new(TabletopStep::new(TabletopSegmentation::new(CALIBRATION.camera)), pair);
     let mut asked = |frame: RawFrame| tabletop.process(&[Arc::new(frame)]).map_err(|e| e.to_string());
-    assert!(matches!(asked(whole.clone()), Ok(ImageFinding::Tabletop(Some(_)))));
+    let seen = asked(whole.clone()).unwrap();
+    assert_eq!((seen[0].segment.as_str(), seen[0].class.as_str()), ("EnvironmentModels", "table"));
 
     let nowhere = RawFrame { root_from_camera: None, ..whole.clone() };
     assert!(asked(nowhere).unwrap_err().contains("give `root_from_camera` in the frame's header"));
