@@ -65,8 +65,8 @@ struct Match<'h> {
     observation: usize,
     /// The entity; `None` when it is new.
     entity: Option<&'h Arc<Snapshot>>,
-    /// The predicted position of that entity.
-    predicted: Option<Gaussian>,
+    /// The predicted position of that entity, with its frame.
+    predicted: Option<(Frame, Gaussian)>,
 }
 
 /// Writes observations into the provider segments of one process.
@@ -174,15 +174,15 @@ impl Updater {
             let mut row = Vec::new();
             for entity in known {
                 let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &settings);
-                let cost = match (&prior, &observation.place, &measured) {
-                    (Some((frame, prior)), Some(place), Some(measured)) if *frame == place.position.frame => {
+                let cost = match (&prior, &measured) {
+                    (Some((known, prior)), Some((frame, measured))) if known == frame => {
                         prior.distance_squared(measured).filter(|d| *d <= self.settings.gate)
                     }
-                    (Some(_), Some(_), _) => None,
+                    (Some(_), Some(_)) => None,
                     _ => Some(unplaced),
                 };
                 row.push(cost.unwrap_or(f64::INFINITY));
-                predicted.push(prior.map(|(_, prior)| prior));
+                predicted.push(prior);
             }
             // A new entity costs as much as a distance equal to the gate.
             row.extend((0..seen.len()).map(|_| self.settings.gate));
@@ -207,7 +207,7 @@ impl Updater {
         &self,
         observation: &Observation,
         entity: &Snapshot,
-        prior: Option<Gaussian>,
+        prior: Option<(Frame, Gaussian)>,
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
@@ -217,7 +217,13 @@ impl Updater {
             let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
             let (mut attributes, confidence) = before.unwrap_or_default();
             attributes.extend(observation.attributes.clone());
-            let fused = measured.map(|seen| prior.and_then(|prior| prior.fuse(&seen)).unwrap_or(seen));
+            // What was seen without a place stays where it was.
+            let fused = match measured {
+                Some((frame, seen)) => {
+                    Some((frame, prior.and_then(|(_, prior)| prior.fuse(&seen)).unwrap_or(seen)))
+                }
+                None => prior,
+            };
             let confidence = fuse_confidence(confidence, observation.confidence);
             place(observation, id, attributes, fused, confidence)
         };
@@ -237,11 +243,12 @@ impl Updater {
         Ok(place(observation, id, attributes, measured, observation.confidence))
     }
 
-    /// The observed position; `None` of an observation without a place.
-    fn measured(&self, observation: &Observation) -> Result<Option<Gaussian>, MemoryError> {
+    /// The observed position with its frame; `None` of an observation without a place.
+    fn measured(&self, observation: &Observation) -> Result<Option<(Frame, Gaussian)>, MemoryError> {
         let Some(ObservedPlace { position, covariance }) = &observation.place else { return Ok(None) };
         let gaussian = Gaussian::new(position.vector(), Matrix3::from_row_slice(covariance));
-        gaussian.map(Some).ok_or_else(|| MemoryError::Schema {
+        let framed = gaussian.map(|gaussian| Some((position.frame.clone(), gaussian)));
+        framed.ok_or_else(|| MemoryError::Schema {
             id: format!("{}/{}/{}", observation.segment, self.provider, observation.class),
             attribute: "position".into(),
             what: "needs finite numbers and a symmetric positive definite covariance, m²".into(),
@@ -284,13 +291,13 @@ fn place(
     observation: &Observation,
     id: EntityId,
     mut attributes: BTreeMap<String, Value>,
-    place: Option<Gaussian>,
+    place: Option<(Frame, Gaussian)>,
     confidence: f64,
 ) -> Commit {
     attributes.insert("class".into(), observation.class.clone().into());
     let mut instance = Instance::new(BTreeMap::new()).with_confidence(confidence);
-    if let (Some(place), Some(observed)) = (place, &observation.place) {
-        let position = Vector::new(observed.position.frame.clone(), &place.mean());
+    if let Some((frame, place)) = place {
+        let position = Vector::new(frame, &place.mean());
         attributes.insert("position".into(), position.into());
         // A known pose moves with the position.
         if let Some(Value::Pose(pose)) = attributes.get_mut("pose") {
