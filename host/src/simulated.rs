@@ -7,11 +7,11 @@ use armarium_memoryx::{
     AgentMemory, MemoryConfig, MemoryError, MemoryLimits, ObjectClass, Policies, Policy, PriorKnowledge,
     Restored, WorkingMemory,
 };
-use armarium_robot::{JointHistory, Robot};
+use armarium_robot::JointHistory;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::world::RobotSpec;
 use armarium_simulator::{Handle, Options, Referee, RobotInWorld, Simulation, TruthSink, World};
-use armarium_states::{Equipment, RunningMotions};
+use armarium_states::{CorrectedImages, Equipment, RunningMotions};
 use armarium_values::Frame;
 use armarium_values::transforms::Transforms;
 use armarium_visionx::{ImageSource, JoinedImages};
@@ -60,8 +60,7 @@ impl StagedRobot {
 
     /// Sees through other cameras at the same place.
     pub(crate) fn see_through(&mut self, images: Arc<dyn ImageSource>) {
-        let Equipment { robot, transforms, .. } = &self.equipment;
-        self.equipment.images = joined(&**robot, images, transforms);
+        self.equipment.images = seen(&self.equipment, images);
     }
 }
 
@@ -78,8 +77,8 @@ pub(crate) fn equipment_of(
     let mut transforms = Transforms::new();
     transforms.attach(history);
     let transforms = Arc::new(RwLock::new(transforms));
-    Equipment {
-        images: joined(&**robot, Arc::clone(images), &transforms),
+    let mut equipment = Equipment {
+        images: Arc::clone(images),
         robot: Arc::clone(robot),
         transforms,
         memory: Arc::<WorkingMemory>::clone(memory),
@@ -87,16 +86,17 @@ pub(crate) fn equipment_of(
         seed,
         motions: RunningMotions::default(),
         works: spec.arm(robot.model()).map(|arm| arm.name.clone()),
-    }
+    };
+    equipment.images = seen(&equipment, Arc::clone(images));
+    equipment
 }
 
-/// Images with the pose that the robot's camera had when they were taken.
-fn joined(
-    robot: &dyn Robot,
-    images: Arc<dyn ImageSource>,
-    transforms: &Arc<RwLock<Transforms>>,
-) -> Arc<dyn ImageSource> {
-    Arc::new(JoinedImages::new(images, transforms, Frame(robot.model().camera_frame().to_owned())))
+/// Images with the true pose that the robot's camera had when they were taken.
+fn seen(equipment: &Equipment, images: Arc<dyn ImageSource>) -> Arc<dyn ImageSource> {
+    let Equipment { robot, transforms, memory, agent, .. } = equipment;
+    let camera = Frame(robot.model().camera_frame().to_owned());
+    let joined = Arc::new(JoinedImages::new(images, transforms, camera));
+    Arc::new(CorrectedImages::new(joined, Arc::clone(memory), agent))
 }
 
 /// The memory of a run: prior knowledge of the world's objects, and the motions in the store, which other runs may use at the

@@ -159,11 +159,7 @@ impl Simulation {
         };
         let plant = Plant::new(world, starts.clone())?;
         let mut drawing = Drawing::new(world, &starts, plant.table(), seed);
-        drawing.update(&[RobotState {
-            truth: &starts[0].true_position(),
-            sensed: &starts[0].position,
-            velocity: &[],
-        }]);
+        drawing.update(&[RobotState { truth: &starts[0].true_position(), sensed: &starts[0].position }]);
         let camera = drawing.link(0, model.camera().map(|camera| camera.left)).translation.vector.into();
         let mut limits = options.guard;
         let mut robots = Vec::new();
@@ -440,11 +436,9 @@ impl Simulation {
         let objects: Vec<Isometry3<f64>> =
             (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
         let people: Vec<_> = (0..self.people.len()).map(|person| self.plant.person(person)).collect();
-        let sensed = self.robots.iter().map(|robot| (&robot.sample.position, &robot.sample.velocity));
-        let sensed: Vec<_> =
-            sensed.map(|(position, velocity)| (position.clone(), velocity.clone())).collect();
+        let sensed: Vec<Vec<f64>> = self.robots.iter().map(|robot| robot.sample.position.clone()).collect();
         let robots: Vec<RobotState<'_>> = (sensed.iter().enumerate())
-            .map(|(i, (sensed, velocity))| RobotState { truth: self.plant.position(i), sensed, velocity })
+            .map(|(i, sensed)| RobotState { truth: self.plant.position(i), sensed })
             .collect();
         let view = SceneState {
             exposed_ns: stamp_ns,

@@ -9,8 +9,6 @@ use armarium_visionx::{ImageError, ImageSource, StereoFrame};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-use crate::hand_eye::HandEye;
-
 type LatestFrame = Option<Result<Arc<StereoFrame>, ImageError>>;
 
 /// A subscription to a camera; frames are produced while it lives.
@@ -20,25 +18,13 @@ pub(crate) struct Frames {
 }
 
 impl Frames {
-    /// The frames as they arrive, with the camera pose that the robot assumes.
+    /// The frames as they arrive.
     pub(crate) fn of(images: &Arc<dyn ImageSource>) -> Self {
-        Self::mapped(images, |frame| frame)
-    }
-
-    /// The frames with the corrected camera pose.
-    pub(crate) fn corrected(images: &Arc<dyn ImageSource>, hand_eye: HandEye) -> Self {
-        Self::mapped(images, move |frame| hand_eye.corrected(&frame))
-    }
-
-    fn mapped(
-        images: &Arc<dyn ImageSource>,
-        map: impl Fn(Arc<StereoFrame>) -> Arc<StereoFrame> + Send + 'static,
-    ) -> Self {
         let (sender, newest) = watch::channel(None);
         let images = Arc::clone(images);
         let task = tokio::spawn(async move {
             loop {
-                let frame = images.next().await.map(&map);
+                let frame = images.next().await;
                 let ended = frame.is_err();
                 if sender.send(Some(frame)).is_err() || ended {
                     return;

@@ -2,8 +2,8 @@
 //!
 //! The head's kinematics give an assumed camera pose. A mounting error of a few degrees and millimetres displaces
 //! everything that is seen by centimetres. The robot determines the mounting by looking at the marker on its own
-//! hand, and stores it in memory, where every skill that uses the cameras finds it. It is expressed in the camera's
-//! own frame, because it turns with the head.
+//! hand, and stores it in memory. [`CorrectedImages`] is the one place where it is applied: all that see through the robot's
+//! eyes get frames with the true pose. It is expressed in the camera's own frame, because it turns with the head.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,8 @@ use std::sync::Arc;
 use armarium_memoryx::{Commit, EntityId, Memory, MemoryError};
 use armarium_runtime::skill::Failure;
 use armarium_values::{Pose, Value};
-use armarium_visionx::StereoFrame;
+use armarium_visionx::{ImageError, ImageSource, StereoCalibration, StereoFrame};
+use async_trait::async_trait;
 use nalgebra::Isometry3;
 
 use crate::motions::failed;
@@ -72,10 +73,46 @@ impl HandEye {
         Ok(())
     }
 
-    /// The frame with the corrected camera pose, in the arm's root frame.
-    pub(crate) fn corrected(&self, frame: &StereoFrame) -> Arc<StereoFrame> {
-        let root_from_left = frame.root_from_left * self.believed_from_left;
-        Arc::new(StereoFrame { root_from_left, ..frame.clone() })
+    /// The mounting that follows from one that is seen through this one.
+    pub(crate) fn refined(&self, corrected_from_left: &Isometry3<f64>) -> Self {
+        Self { believed_from_left: self.believed_from_left * corrected_from_left }
+    }
+}
+
+/// A robot's images with the true pose of its cameras, as far as its memory knows it.
+pub struct CorrectedImages {
+    source: Arc<dyn ImageSource>,
+    memory: Arc<dyn Memory>,
+    agent: String,
+}
+
+impl CorrectedImages {
+    /// The images of `source`; `agent` has found the mounting of its cameras and keeps it in `memory`.
+    pub fn new(source: Arc<dyn ImageSource>, memory: Arc<dyn Memory>, agent: &str) -> Self {
+        Self { source, memory, agent: agent.into() }
+    }
+}
+
+#[async_trait]
+impl ImageSource for CorrectedImages {
+    fn name(&self) -> &str {
+        self.source.name()
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        self.source.calibration()
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        let frame = self.source.next().await?;
+        let mounting = HandEye::load(&*self.memory, &self.agent).await.map_err(|failure| {
+            ImageError::Spoilt { provider: self.name().into(), what: failure.to_string() }
+        })?;
+        if mounting.believed_from_left == Isometry3::identity() {
+            return Ok(frame);
+        }
+        let root_from_left = frame.root_from_left * mounting.believed_from_left;
+        Ok(Arc::new(StereoFrame { root_from_left, ..Arc::unwrap_or_clone(frame) }))
     }
 }
 

@@ -30,6 +30,7 @@ mod surface;
 mod wiper;
 
 pub use equipment::Equipment;
+pub use hand_eye::CorrectedImages;
 pub use needs::{Lack, lacks};
 pub use running_motion::RunningMotions;
 pub use skills::skills;

@@ -28,8 +28,6 @@ pub struct Scenery {
     pub true_position: Vec<f64>,
     /// Joint positions as it senses them.
     pub sensed_position: Vec<f64>,
-    /// Joint velocities as it senses them, rad/s (m/s).
-    pub sensed_velocity: Vec<f64>,
     /// True joint positions of the world's other robots, in its order.
     #[serde(default)]
     pub others: Vec<Vec<f64>>,
@@ -95,7 +93,6 @@ impl Scenery {
             exposed_ns: view.exposed_ns,
             true_position: view.robots[0].truth.to_vec(),
             sensed_position: view.robots[0].sensed.to_vec(),
-            sensed_velocity: view.robots[0].velocity.to_vec(),
             others: view.robots[1..].iter().map(|robot| robot.truth.to_vec()).collect(),
             objects: view.objects.to_vec(),
             people: view.people.to_vec(),
@@ -155,9 +152,7 @@ impl DistantCameras {
         let fits = |q: &Vec<f64>, joints: usize| q.len() == joints && q.iter().all(|v| v.is_finite());
         let joints = truths().count() == self.drawing.joints().count()
             && truths().zip(self.drawing.joints()).all(|(q, joints)| fits(q, joints))
-            && [&scenery.sensed_position, &scenery.sensed_velocity]
-                .into_iter()
-                .all(|q| fits(q, scenery.true_position.len()));
+            && fits(&scenery.sensed_position, scenery.true_position.len());
         let poses = (scenery.objects.iter().chain(scenery.people.iter().flatten()))
             .chain(&scenery.tool)
             .chain(scenery.hand.iter().map(|(pose, _)| pose));
@@ -175,12 +170,8 @@ impl DistantCameras {
         });
         let coach = CoachState { tool: scenery.tool, hand, ..CoachState::default() };
         self.eyes.rig.next_frame = scenery.frame;
-        let own = RobotState {
-            truth: &scenery.true_position,
-            sensed: &scenery.sensed_position,
-            velocity: &scenery.sensed_velocity,
-        };
-        let others = scenery.others.iter().map(|truth| RobotState { truth, sensed: truth, velocity: &[] });
+        let own = RobotState { truth: &scenery.true_position, sensed: &scenery.sensed_position };
+        let others = scenery.others.iter().map(|truth| RobotState { truth, sensed: truth });
         let robots: Vec<_> = [own].into_iter().chain(others).collect();
         let view = SceneState {
             exposed_ns: scenery.exposed_ns,

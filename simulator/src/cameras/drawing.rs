@@ -30,8 +30,6 @@ pub(crate) struct RobotState<'a> {
     pub(crate) truth: &'a [f64],
     /// As the robot senses them.
     pub(crate) sensed: &'a [f64],
-    /// As fast as the robot senses them, rad/s (m/s).
-    pub(crate) velocity: &'a [f64],
 }
 
 /// The state of the scene at one frame.

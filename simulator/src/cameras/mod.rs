@@ -352,11 +352,7 @@ impl Eyes {
                 ImageFault::Frozen => pictures = self.last.get_or_insert(pictures).clone(),
             }
         }
-        // The robot takes its joints where they were at the time of the stamp.
-        let RobotState { sensed, velocity, .. } = view.robots[self.robot];
-        let error = self.rig.stamp_error();
-        let at_stamp: Vec<f64> = sensed.iter().zip(velocity).map(|(q, v)| q + v * error).collect();
-        self.belief.update(&at_stamp);
+        self.belief.update(view.robots[self.robot].sensed);
         let root_from_left =
             self.left.map_or_else(|| Translation3::from(NO_CAMERA).into(), |left| *self.belief.pose(left));
         let (left, right, depth) = pictures;

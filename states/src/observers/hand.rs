@@ -12,7 +12,6 @@ use nalgebra::{Isometry3, Vector3};
 
 use crate::arm::tcp_of;
 use crate::equipment::Equipment;
-use crate::hand_eye::HandEye;
 use crate::observers::arrival::Arrival;
 
 /// Publishes `hand` for each frame while the channel has a reader.
@@ -29,8 +28,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
             hand = fresh();
         }
         let Ok(frame) = equipment.images.next().await else { return };
-        let Ok(hand_eye) = HandEye::load(&*equipment.memory, &equipment.agent).await else { return };
-        let Some(seen) = observed(&mut hand, &hand_eye.corrected(&frame), &Frame::root()).pop() else {
+        let Some(seen) = observed(&mut hand, &frame, &Frame::root()).pop() else {
             continue;
         };
         let mut value = describe(&equipment, &channels, &seen);

@@ -112,7 +112,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let stamp_ns = senses.newest().stamp_ns;
-    HandEye::new(fit.target_from_source)
+    // What was seen was seen through the mounting that is known.
+    let known = HandEye::load(&*equipment.memory, &equipment.agent).await?;
+    known
+        .refined(&fit.target_from_source)
         .store(&*equipment.memory, &equipment.agent, fit.rms, stamp_ns)
         .await?;
     Ok(Outcome::success().with("residual", fit.rms))

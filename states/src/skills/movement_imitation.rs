@@ -20,7 +20,6 @@ use nalgebra::Point3;
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
-use crate::hand_eye::HandEye;
 use crate::inputs::reference;
 use crate::motions::{self, failed};
 use crate::prior::object_class;
@@ -80,7 +79,6 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Observed
     let most_periods = context.number("periods")?;
     let marker = context.text("marker")?;
     let class = object_class(&*equipment.memory, marker).await?;
-    let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let mut tracking = ColorMarkerObjectTracking::new(
         equipment.images.calibration(),
         MarkerSettings::new(class.color).with_diameter(class.size.iter().sum::<f64>() / 3.0),
@@ -88,7 +86,7 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Observed
     );
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
     let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
-    let mut frames = Frames::corrected(&equipment.images, hand_eye);
+    let mut frames = Frames::of(&equipment.images);
     let mut senses = Senses::new(&*equipment.robot, context);
     equipment.robot.say(REQUEST);
     let (mut last_learned, mut waited) = (None, 0.0);

@@ -14,7 +14,6 @@ use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
-use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 use crate::prior::class_of;
@@ -127,11 +126,10 @@ async fn look(
     color: [u8; 3],
     (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
 ) -> Result<ObjectDetection, Failure> {
-    let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
     let mut tracking =
         ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
-    let mut frames = Frames::corrected(&equipment.images, hand_eye);
+    let mut frames = Frames::of(&equipment.images);
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {
         let (sample, dt) = senses.next().await?;

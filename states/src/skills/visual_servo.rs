@@ -18,7 +18,6 @@ use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp, marker};
-use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
@@ -146,9 +145,8 @@ impl Detections {
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let marker = marker(equipment.robot.model(), arm)?;
         let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
-        let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
         Ok(Self {
-            frames: Frames::corrected(&equipment.images, hand_eye),
+            frames: Frames::of(&equipment.images),
             hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
             localizer: ObjectLocalizer::new(calibration, model).standing_on(surface.rotation()),
             center: Point3::from(pose.translation.vector),
