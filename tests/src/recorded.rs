@@ -285,6 +285,14 @@ mod tests {
     use serde_json::json;
 
     #[test]
+    fn a_recording_of_an_earlier_version_is_still_read() {
+        let file = crate::repository::root().join("tests/earlier/run.mcap");
+        let recorded = read(&file).expect("it is a recording");
+        assert!(recorded.log.records.len() > 50, "{} steps", recorded.log.records.len());
+        assert_eq!(recorded.world.name, "kitchen");
+    }
+
+    #[test]
     fn a_figure_that_differs_is_named_and_rounding_is_not() {
         let again = json!({"wiped_fraction": 0.96});
         let report = |wiped: Value| json!({"wiped_fraction": wiped});

@@ -201,8 +201,14 @@ fn no_code_names_a_robot_or_a_part_of_one() {
 
 /// Source text of the library rooms, without tests: what others build on.
 fn library_sources() -> Vec<(PathBuf, String)> {
-    let is_test = |path: &Path| path.iter().any(|part| part == "tests" || part == "tests.rs");
-    let of_library = |path: &PathBuf| !path.starts_with(repository::root().join("cli")) && !is_test(path);
+    let is_test = |path: &Path| {
+        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        path.iter().any(|part| part == "tests") || stem.ends_with("tests") || stem == "properties"
+    };
+    let program = repository::root().join("cli");
+    let of_library = |path: &PathBuf| {
+        path.iter().any(|part| part == "src") && !path.starts_with(&program) && !is_test(path)
+    };
     let without_tests = |text: String| text.split("#[cfg(test)]\nmod ").next().unwrap_or_default().to_owned();
     sources().into_iter().filter(of_library).map(|path| (path.clone(), without_tests(read(&path)))).collect()
 }

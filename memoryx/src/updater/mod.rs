@@ -4,8 +4,8 @@
 //! 1. Each known entity of the class is predicted to the time of the observation ([`MotionModel`]).
 //! 2. Observations and entities are assigned to each other with the least sum of squared Mahalanobis distances; an
 //!    observation without an entity inside the gate becomes a new entity.
-//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class. People's hands and bodies
-//!    move as they like: their last observation counts alone.
+//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class. Of people's hands and bodies and
+//!    of surroundings, the last observation counts alone.
 //!
 //! An observation is addressed to a core segment. One without a place says of the entity of its class what else is observed,
 //! for instance that no hand is there.
@@ -46,7 +46,7 @@ pub struct Settings {
     pub drift: f64,
     /// The same for a carried object, because grasps slip.
     pub carried_drift: f64,
-    /// The same for people's hands and bodies.
+    /// The same for people's hands and bodies and for surroundings.
     pub moving_drift: f64,
 }
 
@@ -56,8 +56,9 @@ impl Default for Settings {
     }
 }
 
-/// Core segments of what moves by itself, so that earlier observations say little.
-const MOVING: [&str; 2] = ["HumanHands", "HumanPoses"];
+/// Core segments of which the last observation counts alone: people move by themselves, and of a table each picture shows another
+/// part.
+const LAST_COUNTS: [&str; 3] = ["HumanHands", "HumanPoses", "EnvironmentModels"];
 
 /// The entity of an observation.
 struct Match<'h> {
@@ -167,7 +168,7 @@ impl Updater {
         for at in seen {
             let observation = &observations[*at];
             let measured = self.measured(observation)?;
-            let settings = match is_moving(observation) {
+            let settings = match last_counts(observation) {
                 true => Settings { drift: self.settings.moving_drift, ..self.settings },
                 false => self.settings,
             };
@@ -211,7 +212,7 @@ impl Updater {
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
-        let commit = if is_moving(observation) {
+        let commit = if last_counts(observation) {
             place(observation, id, observation.attributes.clone(), measured, observation.confidence)
         } else {
             let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
@@ -256,8 +257,8 @@ impl Updater {
     }
 }
 
-fn is_moving(observation: &Observation) -> bool {
-    MOVING.contains(&observation.segment.as_str())
+fn last_counts(observation: &Observation) -> bool {
+    LAST_COUNTS.contains(&observation.segment.as_str())
 }
 
 /// What observations must have in common to be told from each other by their places: class and frame.
