@@ -60,7 +60,7 @@ impl StagedRobot {
 
     /// Sees through other cameras at the same place.
     pub(crate) fn see_through(&mut self, images: Arc<dyn ImageSource>) {
-        self.equipment.images = seen(&self.equipment, images);
+        self.equipment.images = through_own_eyes(&self.equipment, images);
     }
 }
 
@@ -87,12 +87,12 @@ pub(crate) fn equipment_of(
         motions: RunningMotions::default(),
         works: spec.arm(robot.model()).map(|arm| arm.name.clone()),
     };
-    equipment.images = seen(&equipment, Arc::clone(images));
+    equipment.images = through_own_eyes(&equipment, Arc::clone(images));
     equipment
 }
 
 /// Images with the true pose that the robot's camera had when they were taken.
-fn seen(equipment: &Equipment, images: Arc<dyn ImageSource>) -> Arc<dyn ImageSource> {
+fn through_own_eyes(equipment: &Equipment, images: Arc<dyn ImageSource>) -> Arc<dyn ImageSource> {
     let Equipment { robot, transforms, memory, agent, .. } = equipment;
     let camera = Frame(robot.model().camera_frame().to_owned());
     let joined = Arc::new(JoinedImages::new(images, transforms, camera));

@@ -263,7 +263,12 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
             .optional("gesture", Type::String, "none, fist, open_hand, point_one or point_two")
             .optional("position", Type::Vector, "centre of the palm, m, in its frame")
             .optional("direction", Type::Vector, "unit vector along the pointing finger, in its frame")
-            .optional("fingertips", Type::list(Type::Vector), "fingertips from thumb on, m, in their frame"),
+            .optional(
+                "fingertips",
+                Type::list(Type::Vector),
+                "stretched fingers in order around the palm, m, in their frame",
+            )
+            .optional("hidden", Type::FLOAT, "share of the outline that something hides, 0 to 1"),
         SegmentSchema::new("HumanPoses", "Bodies of people.").optional(
             "keypoints",
             Type::map(Type::Vector),

@@ -27,7 +27,7 @@ use crate::start;
 use crate::table::DirtGrid;
 use crate::table::WIPE_EVERY;
 use crate::truth::{TruthEvent, TruthSample, TruthSink};
-use crate::world::{Disturbance, Milestone, World};
+use crate::world::{Disturbance, World, WorldEvent};
 
 /// One step, ns.
 const STEP_NS: u64 = 1_000_000;
@@ -345,7 +345,7 @@ impl Simulation {
         }
         if self.wiping_at.is_none() && self.coach.wiping_since().is_some() {
             self.wiping_at = Some(t);
-            self.event(stamp_ns, &TruthEvent::Reached(Milestone::Wiping));
+            self.event(stamp_ns, &TruthEvent::Reached(WorldEvent::Wiping));
         }
     }
 
@@ -361,8 +361,8 @@ impl Simulation {
         self.external.objects.fill(Vector3::zeros());
         for d in &self.disturbances {
             let since = match d.after {
-                Milestone::Grasp => self.grasped_at,
-                Milestone::Wiping => self.wiping_at,
+                WorldEvent::Grasp => self.grasped_at,
+                WorldEvent::Wiping => self.wiping_at,
             };
             let Some(age) = since.map(|s| t - s - d.at) else { continue };
             if !(0.0..d.duration).contains(&age) {
@@ -420,7 +420,7 @@ impl Simulation {
         }
         if self.grasped_at.is_none() && self.plant.held(0).is_some() {
             self.grasped_at = Some(stamp_ns as f64 * 1e-9);
-            self.event(stamp_ns, &TruthEvent::Reached(Milestone::Grasp));
+            self.event(stamp_ns, &TruthEvent::Reached(WorldEvent::Grasp));
         }
     }
 

@@ -87,7 +87,7 @@ pub struct RobotErrors {
     /// Time in which a drive settles to 2 %, s.
     pub drive_time: f64,
     /// True mass beyond a wrench sensor over that of the model.
-    pub hand_mass: f64,
+    pub hand_mass_scale: f64,
 }
 
 impl RobotStart {
@@ -106,7 +106,7 @@ impl RobotErrors {
             backlash: 0.0,
             friction: 0.0,
             drive_time: 0.04,
-            hand_mass: 1.0,
+            hand_mass_scale: 1.0,
         }
     }
 
@@ -124,7 +124,7 @@ impl RobotErrors {
             backlash: physics.backlash_deg.to_radians(),
             friction: physics.joint_friction,
             drive_time: physics.drive_time,
-            hand_mass: 1.0 + either() * physics.hand_mass_error,
+            hand_mass_scale: 1.0 + either() * physics.hand_mass_error,
         }
     }
 }

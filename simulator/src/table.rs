@@ -199,9 +199,9 @@ impl DirtGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::Bump;
+    use crate::world::BumpSpec;
 
-    fn table(tilt_deg: [f64; 2], bumps: Vec<Bump>) -> TableTop {
+    fn table(tilt_deg: [f64; 2], bumps: Vec<BumpSpec>) -> TableTop {
         TableTop::new(&TableSpec { tilt_deg, bumps, ..TableSpec::default() })
     }
 
@@ -226,14 +226,14 @@ mod tests {
 
     #[test]
     fn a_bump_stands_where_the_file_says() {
-        let t = table([4.0, 4.0], vec![Bump { at: [0.3, 0.5], height: 0.004, radius: 0.05 }]);
+        let t = table([4.0, 4.0], vec![BumpSpec { at: [0.3, 0.5], height: 0.004, radius: 0.05 }]);
         let top = Point3::new(0.3, 0.5, t.plane_height(0.3, 0.5));
         assert!((t.surface(&top).unwrap().depth - 0.004).abs() < 1e-12);
     }
 
     #[test]
     fn the_normal_is_the_gradient_of_depth() {
-        let t = table([1.0, 2.0], vec![Bump { at: [0.3, 0.5], height: 0.005, radius: 0.05 }]);
+        let t = table([1.0, 2.0], vec![BumpSpec { at: [0.3, 0.5], height: 0.005, radius: 0.05 }]);
         let p = Point3::new(0.32, 0.51, 0.952);
         let h = 1e-6;
         // The gradient of the level sets of (rise - z) has the direction of the surface's normal.

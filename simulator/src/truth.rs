@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::coach::{ActionEvent, CoachState};
 pub use crate::physics::Contact;
 use crate::physics::Touched;
-use crate::world::{Gesture, Milestone};
+use crate::world::{Gesture, WorldEvent};
 
 /// The true state at one control step.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -61,7 +61,7 @@ impl TruthSample {
 /// The truth about a rendered pair of images. In the recording: `/truth/hand`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrameTruth {
-    /// Time of exposure, ns.
+    /// Stamp of the frame, ns, by which what is seen in it is compared; it errs.
     pub stamp_ns: u64,
     /// The gesture of the coach's hand, if the hand is there.
     pub gesture: Option<Gesture>,
@@ -83,7 +83,7 @@ pub enum TruthEvent {
     /// An event of the coach.
     Coach(ActionEvent),
     /// A milestone was reached for the first time.
-    Reached(Milestone),
+    Reached(WorldEvent),
     /// The hand took an object, by its name. From now on it is the object that is judged.
     Grasped(String),
     /// The hand took or lost an object.

@@ -3,7 +3,7 @@
 //! The head's kinematics give an assumed camera pose. A mounting error of a few degrees and millimetres displaces
 //! everything that is seen by centimetres. The robot determines the mounting by looking at the marker on its own
 //! hand, and stores it in memory. [`CorrectedImages`] is the one place where it is applied: all that see through the robot's
-//! eyes get frames with the true pose. It is expressed in the camera's own frame, because it turns with the head.
+//! own eyes get frames with the true pose. The correction is a pose in the camera's own frame, because it turns with the head.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ impl HandEye {
         Self { believed_from_left }
     }
 
-    /// The newest correction in memory; the identity if there is none.
+    /// The newest correction in memory; the identity if there is none, or none that can be read.
     pub(crate) async fn load(memory: &dyn Memory, agent: &str) -> Result<Self, Failure> {
         match memory.latest(&address(agent)?).await {
             Ok(snapshot) => {
@@ -43,10 +43,7 @@ impl HandEye {
                     Some(Value::Pose(pose)) if pose.frame.0 == CAMERA => Some(pose.isometry()),
                     _ => None,
                 };
-                let pose = mounting.ok_or_else(|| {
-                    Failure::new("the hand-eye correction in memory is no mounting of a camera")
-                })?;
-                Ok(Self::new(pose))
+                Ok(Self::new(mounting.unwrap_or_else(Isometry3::identity)))
             }
             Err(MemoryError::NotFound { .. }) => Ok(Self::new(Isometry3::identity())),
             Err(error) => Err(failed(error)),
@@ -105,8 +102,10 @@ impl ImageSource for CorrectedImages {
 
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         let frame = self.source.next().await?;
-        let mounting = HandEye::load(&*self.memory, &self.agent).await.map_err(|failure| {
-            ImageError::Spoilt { provider: self.name().into(), what: failure.to_string() }
+        let mounting = HandEye::load(&*self.memory, &self.agent).await;
+        let mounting = mounting.map_err(|failure| ImageError::Spoilt {
+            provider: self.name().into(),
+            what: format!("no pose of its cameras: {failure}"),
         })?;
         if mounting.believed_from_left == Isometry3::identity() {
             return Ok(frame);
@@ -118,4 +117,56 @@ impl ImageSource for CorrectedImages {
 
 fn address(agent: &str) -> Result<EntityId, Failure> {
     EntityId::new(SEGMENT, agent, ENTITY).map_err(failed)
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_memoryx::{WorkingMemory, tokio_clock};
+    use armarium_visionx::{PinholeCamera, RgbImage};
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    /// A camera that believes to be at `0`.
+    struct Camera(Isometry3<f64>);
+
+    #[async_trait]
+    impl ImageSource for Camera {
+        fn name(&self) -> &str {
+            "camera"
+        }
+
+        fn calibration(&self) -> StereoCalibration {
+            let camera = PinholeCamera { width: 1, height: 1, focal: 1.0, center: [0.5; 2] };
+            StereoCalibration { camera, baseline: 0.1 }
+        }
+
+        async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+            let image = || RgbImage::from_rgb(1, 1, vec![0; 3]);
+            let (left, right) = (image()?, image()?);
+            Ok(Arc::new(StereoFrame { stamp_ns: 1, left, right, depth: None, root_from_left: self.0 }))
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_mounting_that_is_found_twice_is_that_of_both_findings() {
+        let memory: Arc<dyn Memory> = Arc::new(WorkingMemory::new(tokio_clock()));
+        let turned = |axis: Vector3<f64>, x: f64| {
+            Isometry3::from_parts(Vector3::new(x, 0.02, 0.0).into(), UnitQuaternion::from_scaled_axis(axis))
+        };
+        let believed = turned(Vector3::new(0.0, 0.0, 1.2), 0.4);
+        let [first, second] =
+            [turned(Vector3::new(0.03, 0.0, 0.0), 0.01), turned(Vector3::new(0.0, 0.05, 0.02), -0.02)];
+        let images = CorrectedImages::new(Arc::new(Camera(believed)), Arc::clone(&memory), "local");
+        assert_eq!(images.next().await.unwrap().root_from_left, believed, "nothing is known yet");
+        let mut expected = believed;
+        for found in [first, second] {
+            // What is left of the error is seen in the frame of the camera as it is corrected so far.
+            let known = HandEye::load(&*memory, "local").await.unwrap();
+            known.refined(&found).store(&*memory, "local", 0.001, 1).await.unwrap();
+            expected *= found;
+            let seen = images.next().await.unwrap().root_from_left;
+            assert!((seen.to_homogeneous() - expected.to_homogeneous()).norm() < 1e-12);
+        }
+    }
 }

@@ -60,7 +60,7 @@ pub use processor::{
 };
 pub use providers::rectify::Rectification;
 pub use steps::{
-    FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep, observe,
+    FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep, observations_of,
 };
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

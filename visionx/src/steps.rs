@@ -46,7 +46,11 @@ pub trait StereoStep: Send {
 }
 
 /// What a step observes in a frame, with all places in `frame_of_root`, the frame of its `root_from_left`.
-pub fn observe(step: &mut dyn StereoStep, frame: &StereoFrame, frame_of_root: &Frame) -> Vec<Observation> {
+pub fn observations_of(
+    step: &mut dyn StereoStep,
+    frame: &StereoFrame,
+    frame_of_root: &Frame,
+) -> Vec<Observation> {
     let (camera, root) = (Frame::from(CAMERA), Frame::root());
     let moved = |seen: Observation| {
         let seen = seen.moved(&camera, &root, &frame.root_from_left);
@@ -88,7 +92,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
             Some(_) => Frame::root(),
             None => Frame(frame.frame_id.clone()),
         };
-        Ok(observe(&mut self.step, &self.pair.frame(frame)?, &frame_of_root))
+        Ok(observations_of(&mut self.step, &self.pair.frame(frame)?, &frame_of_root))
     }
 
     fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
@@ -295,9 +299,6 @@ impl StereoStep for FingertipStep {
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         self.last = self.tracking.update(frame);
-        if self.last.is_empty() {
-            return Vec::new();
-        }
         let tips = self.last.iter().filter_map(|tip| tip.in_left).map(|tip| vector(tip.coords));
         let in_image = self.last.iter().map(|tip| {
             Value::record([
@@ -315,5 +316,54 @@ impl StereoStep for FingertipStep {
 
     fn draw(&self, image: &mut RgbImage) {
         self.last.iter().for_each(|tip| annotate::circle(image, &tip.px, tip.radius, [255, 0, 255]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::providers::{ProviderDescription, frame_of};
+    use crate::scenes::{CALIBRATION, empty_frames};
+
+    /// Sees one thing, always before the camera, and the table under the robot.
+    struct Stub;
+
+    impl StereoStep for Stub {
+        fn name(&self) -> &str {
+            "stub"
+        }
+
+        fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+            let ahead = in_camera(&Point3::new(0.0, 0.0, 2.0), &Matrix3::identity());
+            let under =
+                ObservedPlace::new(&Frame::root(), &Vector3::new(0.5, 0.0, 0.0), &Matrix3::identity());
+            [ahead, under].map(|place| Observation::new(OBJECTS, "thing", frame.stamp_ns).at(place)).into()
+        }
+
+        fn draw(&self, _: &mut RgbImage) {}
+    }
+
+    #[test]
+    fn places_are_in_the_root_frame_or_in_the_frame_of_a_camera_that_does_not_know_where_it_is() {
+        let stereo = Arc::new(empty_frames().swap_remove(0));
+        let pair = StereoPair::of(&ProviderDescription::of_stereo("eyes", "left", &CALIBRATION)).unwrap();
+        let mut processor = OfStereo::new(Stub, pair);
+        let mut seen = |frame: RawFrame| -> Vec<(String, Vector3<f64>)> {
+            let seen = processor.process(&[Arc::new(frame)]).unwrap();
+            let place = |o: Observation| {
+                o.place.map(|place| (place.position.frame.0.clone(), place.position.vector()))
+            };
+            seen.into_iter().filter_map(place).collect()
+        };
+        let known = frame_of(&stereo, 1, "left").unwrap();
+        let root_from_camera = known.root_from_camera.unwrap();
+        let ahead = (root_from_camera * Point3::new(0.0, 0.0, 2.0)).coords;
+        let under = Vector3::new(0.5, 0.0, 0.0);
+        let root = || "root".to_owned();
+        let placed = seen(known.clone());
+        assert!((placed[0].1 - ahead).norm() < 1e-12 && placed[0].0 == root());
+        assert_eq!(placed[1], (root(), under));
+        let nowhere = seen(RawFrame { root_from_camera: None, ..known });
+        assert_eq!(nowhere, [("left".to_owned(), Vector3::new(0.0, 0.0, 2.0)), ("left".to_owned(), under)]);
     }
 }

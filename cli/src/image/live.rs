@@ -1,4 +1,4 @@
-//! `armarium image process`: runs a processor on a provider. Its findings go out as lines of JSON and, through the
+//! `armarium image process`: runs a processor on a provider. What it observes goes out as lines of JSON and, through the
 //! updater, into a memory; its annotated images become a provider.
 
 use std::io::Write;
@@ -25,7 +25,7 @@ use crate::stopped::stopped;
 use armarium_host::Connection;
 use parking_lot::Mutex;
 
-/// Findings that may wait to be printed and committed.
+/// Frames whose observations may wait to be printed and committed.
 const MAX_QUEUED: usize = 64;
 
 /// What to look for.
@@ -62,7 +62,7 @@ impl Look {
     }
 }
 
-/// Passes findings on; the processor never waits for the printer or the memory.
+/// Passes observations on; the processor never waits for the printer or the memory.
 struct HandOn {
     to: Mutex<Option<mpsc::Sender<(SeenBy, Vec<Observation>)>>>,
     dropped: AtomicU64,
@@ -138,7 +138,7 @@ pub(super) async fn run(
     };
     let processing = async {
         let ended = run_processor(&mut *processor, &with).await;
-        // No more findings come: close the queue, so that the receiver ends after the last one.
+        // No more observations come: close the queue, so that the receiver ends after the last one.
         sink.to.lock().take();
         match ended {
             Ok(()) | Err(ImageError::Gone { .. }) => Ok(()),

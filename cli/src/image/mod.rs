@@ -171,7 +171,7 @@ pub(crate) struct ProcessArgs {
     /// The marker's colour in full light.
     #[arg(long, value_name = "R,G,B", default_value = "40,170,60", value_parser = crate::vision::color)]
     pub(crate) color: [u8; 3],
-    /// Write the findings into the memory of this agent.
+    /// Write what is observed into the memory of this agent.
     #[arg(long, value_name = "AGENT")]
     pub(crate) memory: Option<String>,
     /// Offer the annotated images as a provider of this agent, named after the processor.

@@ -4,11 +4,11 @@
 //! 1. Each known entity of the class is predicted to the time of the observation ([`MotionModel`]).
 //! 2. Observations and entities are assigned to each other with the least sum of squared Mahalanobis distances; an
 //!    observation without an entity inside the gate becomes a new entity.
-//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class. Of people's hands and bodies and
-//!    of surroundings, the last observation counts alone.
+//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class.
 //!
-//! An observation is addressed to a core segment. One without a place says of the entity of its class what else is observed,
-//! for instance that no hand is there.
+//! An observation is addressed to a core segment. One without a place says only what else is observed. People's hands and bodies
+//! move by themselves, and each picture shows another part of a table: of these segments the last observation counts alone. It
+//! is of the nearest known entity of its class, however far that is, and one without a place (no hand is there) is of all.
 //! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
 
 use std::collections::BTreeMap;
@@ -46,18 +46,15 @@ pub struct Settings {
     pub drift: f64,
     /// The same for a carried object, because grasps slip.
     pub carried_drift: f64,
-    /// The same for people's hands and bodies and for surroundings.
-    pub moving_drift: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5, moving_drift: 0.5 }
+        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5 }
     }
 }
 
-/// Core segments of which the last observation counts alone: people move by themselves, and of a table each picture shows another
-/// part.
+/// Core segments of which the last observation counts alone.
 const LAST_COUNTS: [&str; 3] = ["HumanHands", "HumanPoses", "EnvironmentModels"];
 
 /// The entity of an observation.
@@ -108,6 +105,9 @@ impl Updater {
     /// # Errors
     /// [`MemoryError::Schema`] when an observation's covariance is invalid; as [`Memory::commit`].
     pub async fn update(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
+        if observations.is_empty() {
+            return Ok(Vec::new());
+        }
         let mut tries = 0;
         loop {
             let updates = self.updates(observations).await?;
@@ -123,37 +123,36 @@ impl Updater {
 
     async fn updates(&self, observations: &[Observation]) -> Result<Vec<Commit>, MemoryError> {
         let classes = self.memory.segment(OBJECT_CLASSES).await?;
-        let mut updates = vec![None; observations.len()];
+        let mut updates = Vec::new();
         for segment in distinct(observations.iter().map(|o| o.segment.as_str())) {
             let pattern = Pattern::segment(segment).of_provider(&self.provider);
             let held = self.memory.query(&Query::latest(pattern)).await?;
             let mut names: Vec<String> = held.iter().map(|s| s.id.entity().to_owned()).collect();
-            let of_segment = observations.iter().filter(|o| o.segment == segment);
-            for kind in distinct(of_segment.map(kind_of)) {
-                let seen: Vec<usize> = (0..observations.len())
-                    .filter(|i| observations[*i].segment == segment && kind_of(&observations[*i]) == kind)
-                    .collect();
+            let of_segment = || observations.iter().enumerate().filter(|(_, o)| o.segment == segment);
+            for class in distinct(of_segment().map(|(_, o)| o.class.as_str())) {
+                let seen = of_segment().filter(|(_, o)| o.class == class).map(|(i, _)| i).collect::<Vec<_>>();
                 let is_of_class =
-                    |s: &&Arc<Snapshot>| s.attribute("class").and_then(Value::as_str) == Some(kind.0);
+                    |s: &&Arc<Snapshot>| s.attribute("class").and_then(Value::as_str) == Some(class);
                 let known: Vec<&Arc<Snapshot>> = held.iter().filter(is_of_class).collect();
                 for matched in self.match_class(observations, &seen, &known, &held)? {
                     let observation = &observations[matched.observation];
                     let update = match matched.entity {
                         Some(entity) => self.fused(observation, entity, matched.predicted)?,
                         None => {
-                            let name = free_name(kind.0, &names);
+                            let name = free_name(class, &names);
                             names.push(name.clone());
                             self.created(observation, &name, &classes)?
                         }
                     };
-                    updates[matched.observation] = Some(update);
+                    updates.push((matched.observation, update));
                 }
             }
         }
-        Ok(updates.into_iter().flatten().collect())
+        updates.sort_by_key(|(observation, _)| *observation);
+        Ok(updates.into_iter().map(|(_, update)| update).collect())
     }
 
-    /// Matches the observations of one class and frame to entities, with the entities' predicted positions.
+    /// Matches the observations of one class to entities, with the entities' predicted positions.
     fn match_class<'h>(
         &self,
         observations: &[Observation],
@@ -161,32 +160,42 @@ impl Updater {
         known: &[&'h Arc<Snapshot>],
         held: &[Arc<Snapshot>],
     ) -> Result<Vec<Match<'h>>, MemoryError> {
-        // What has no place may be the entity, if nothing fits better.
-        let unplaced = 0.999 * self.settings.gate;
+        if let [at] = seen
+            && let observation = &observations[*at]
+            && last_counts(observation)
+            && observation.place.is_none()
+            && !known.is_empty()
+        {
+            let all =
+                known.iter().map(|entity| Match { observation: *at, entity: Some(entity), predicted: None });
+            return Ok(all.collect());
+        }
         let mut predicted = Vec::new();
         let mut costs = Vec::new();
         for at in seen {
             let observation = &observations[*at];
             let measured = self.measured(observation)?;
-            let settings = match last_counts(observation) {
-                true => Settings { drift: self.settings.moving_drift, ..self.settings },
-                false => self.settings,
+            let last_counts = last_counts(observation);
+            // A new entity costs as much as a distance equal to the gate. What has no place in the same frame may be the entity, if
+            // nothing fits better.
+            let (fresh, unplaced) = match last_counts {
+                true => (f64::MAX.sqrt(), f64::MAX.sqrt() / 2.0),
+                false => (self.settings.gate, 0.999 * self.settings.gate),
             };
             let mut row = Vec::new();
             for entity in known {
-                let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &settings);
+                let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &self.settings);
                 let cost = match (&prior, &measured) {
-                    (Some((known, prior)), Some((frame, measured))) if known == frame => {
-                        prior.distance_squared(measured).filter(|d| *d <= self.settings.gate)
-                    }
-                    (Some(_), Some(_)) => None,
-                    _ => Some(unplaced),
+                    (Some((known, prior)), Some((frame, measured))) if known == frame => prior
+                        .distance_squared(measured)
+                        .map_or(f64::INFINITY, |d| if last_counts { d.min(unplaced) } else { d }),
+                    (Some(_), Some(_)) if !last_counts => f64::INFINITY,
+                    _ => unplaced,
                 };
-                row.push(cost.unwrap_or(f64::INFINITY));
+                row.push(if cost <= fresh { cost } else { f64::INFINITY });
                 predicted.push(prior);
             }
-            // A new entity costs as much as a distance equal to the gate.
-            row.extend((0..seen.len()).map(|_| self.settings.gate));
+            row.extend((0..seen.len()).map(|_| fresh));
             costs.push(row);
         }
         let assigned = assign(&costs);
@@ -212,21 +221,24 @@ impl Updater {
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
-        let commit = if last_counts(observation) {
-            place(observation, id, observation.attributes.clone(), measured, observation.confidence)
-        } else {
-            let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
-            let (mut attributes, confidence) = before.unwrap_or_default();
-            attributes.extend(observation.attributes.clone());
-            // What was seen without a place stays where it was.
-            let fused = match measured {
-                Some((frame, seen)) => {
-                    Some((frame, prior.and_then(|(_, prior)| prior.fuse(&seen)).unwrap_or(seen)))
-                }
-                None => prior,
-            };
-            let confidence = fuse_confidence(confidence, observation.confidence);
-            place(observation, id, attributes, fused, confidence)
+        let commit = match (last_counts(observation), measured) {
+            (true, measured) => {
+                commit_of(observation, id, observation.attributes.clone(), measured, observation.confidence)
+            }
+            (false, measured) => {
+                let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
+                let (mut attributes, mut confidence) = before.unwrap_or_default();
+                attributes.extend(observation.attributes.clone());
+                // What was observed without a place stays where it was, and is no surer for that.
+                let place = match measured {
+                    Some((frame, seen)) => {
+                        confidence = fuse_confidence(confidence, observation.confidence);
+                        Some((frame, prior.and_then(|(_, prior)| prior.fuse(&seen)).unwrap_or(seen)))
+                    }
+                    None => prior,
+                };
+                commit_of(observation, id, attributes, place, confidence)
+            }
         };
         Ok(commit.expecting(entity.version))
     }
@@ -238,10 +250,13 @@ impl Updater {
         classes: &[Arc<Snapshot>],
     ) -> Result<Commit, MemoryError> {
         let id = EntityId::new(&observation.segment, &self.provider, name)?;
-        let mut attributes = enrichment(&observation.class, classes);
+        let mut attributes = match last_counts(observation) {
+            true => BTreeMap::new(),
+            false => enrichment(&observation.class, classes),
+        };
         attributes.extend(observation.attributes.clone());
         let measured = self.measured(observation)?;
-        Ok(place(observation, id, attributes, measured, observation.confidence))
+        Ok(commit_of(observation, id, attributes, measured, observation.confidence))
     }
 
     /// The observed position with its frame; `None` of an observation without a place.
@@ -259,11 +274,6 @@ impl Updater {
 
 fn last_counts(observation: &Observation) -> bool {
     LAST_COUNTS.contains(&observation.segment.as_str())
-}
-
-/// What observations must have in common to be told from each other by their places: class and frame.
-fn kind_of(observation: &Observation) -> (&str, Option<&Frame>) {
-    (&observation.class, observation.place.as_ref().map(|place| &place.position.frame))
 }
 
 /// Each item once, in the order in which it came first.
@@ -288,7 +298,7 @@ pub fn enrichment(class: &str, classes: &[Arc<Snapshot>]) -> BTreeMap<String, Va
 }
 
 /// The commit of an observation whose entity is now at `place`, if it has a place.
-fn place(
+fn commit_of(
     observation: &Observation,
     id: EntityId,
     mut attributes: BTreeMap<String, Value>,
@@ -301,7 +311,7 @@ fn place(
         let position = Vector::new(frame, &place.mean());
         attributes.insert("position".into(), position.into());
         // A known pose moves with the position.
-        if let Some(Value::Pose(pose)) = attributes.get_mut("pose") {
+        if let Some(Value::Pose(pose)) = attributes.get_mut("pose").filter(|_| observation.place.is_some()) {
             pose.position = place.mean().into();
         }
         let rows = place.covariance().transpose().as_slice().to_vec();

@@ -165,4 +165,26 @@ async fn a_hand_is_where_it_was_seen_last_and_is_still_the_hand_after_it_was_gon
     }
     let two = updater.update(&[hand(0.4, 0.95), hand(0.4, -0.9)]).await.unwrap();
     assert_eq!(names(&two), [("hand", 5), ("hand_2", 1)]);
+    // Without hands, both are gone; the next one is the hand again, wherever it is and in whatever frame.
+    let gone = Observation::new("HumanHands", "hand", 500_000_000).with("gesture", "none");
+    assert_eq!(names(&updater.update(&[gone]).await.unwrap()), [("hand", 6), ("hand_2", 2)]);
+    assert_eq!(names(&updater.update(&[hand(0.6, 5.0)]).await.unwrap()), [("hand", 7)]);
+    let mut elsewhere = hand(0.7, 0.0);
+    elsewhere.place.as_mut().unwrap().position.frame = Frame::from("camera");
+    let both = [elsewhere, Observation::new("HumanHands", "hand", 700_000_000)];
+    let both = updater.update(&both).await.unwrap();
+    assert_eq!(both.len(), 2, "{both:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_observed_without_a_place_is_where_it_was_and_no_surer() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let first = updater.update(&[cup(0.0, 0.1, 0.0)]).await.unwrap();
+    let told = Observation::new(OBJECT_INSTANCES, "cup", 100_000_000).with("full", true);
+    assert_eq!(names(&updater.update(&[told]).await.unwrap()), [("cup", 2)]);
+    let cup = memory.latest_now(&first[0].0).unwrap();
+    assert_eq!(cup.attribute("position").and_then(Value::as_vector3), Some([0.1, 0.0, 1.0]));
+    assert_eq!((cup.attribute("full"), cup.instance().unwrap().confidence), (Some(&Value::Bool(true)), 0.6));
+    assert!(updater.update(&[]).await.unwrap().is_empty());
 }

@@ -148,7 +148,11 @@ impl StereoRig {
         (rate, noise): (f64, SensorNoise),
         mut rng: ChaCha8Rng,
     ) -> Self {
-        let offset = spec.stamp_offset * (2.0 * rng.random::<f64>() - 1.0);
+        // Without an offset nothing is drawn, so that other errors are the same.
+        let offset = match spec.stamp_offset {
+            0.0 => 0.0,
+            most => most * (2.0 * rng.random::<f64>() - 1.0),
+        };
         Self {
             stamps_s: [offset, spec.stamp_jitter],
             source: Arc::new(SimulatedCameras::new(name, calibration)),
@@ -434,6 +438,16 @@ mod tests {
         assert!(
             offsets.iter().any(|offset| *offset > 0.001) && offsets.iter().any(|offset| *offset < -0.001)
         );
+        let mut hasty = World::default();
+        (hasty.camera.stamp_jitter, hasty.camera.rate) = (0.1, 15.0);
+        let mut eyes = Eyes::new(&hasty, 0, start, 1);
+        let mut before = 0;
+        for frame in 10..200 {
+            eyes.rig.next_frame = frame;
+            let stamp = eyes.rig.stamp(frame * 66_666_667);
+            assert!(stamp > before, "{frame}");
+            before = stamp;
+        }
         let ideal = World::ideal();
         let eyes = Eyes::new(&ideal, 0, start, 1);
         assert_eq!(eyes.rig.stamp(1234), 1234);

@@ -396,14 +396,14 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
-    use crate::world::Demonstration;
+    use crate::world::DemonstrationSpec;
     use rand::SeedableRng as _;
 
     const DT: f64 = 1e-3;
 
     /// Moves an ideal hand along the coach's own path. Returns the coach's state at each ms, and the events.
     fn wipe(spec: &CoachSpec, seconds: f64) -> (Vec<CoachState>, Vec<ActionEvent>) {
-        let path = CoachPath::new(&Demonstration::default());
+        let path = CoachPath::new(&DemonstrationSpec::default());
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut coaching = Coaching::new(spec, path.clone(), (Point3::new(0.0, 0.24, 1.65), 1.0), &mut rng);
         coaching.begin(0.0);

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::Rng;
 
 use super::path::{CoachPath, Wobble};
-use crate::world::Demonstration;
+use crate::world::DemonstrationSpec;
 
 /// Time in which the tool comes and goes, s.
 const COME_S: f64 = 1.5;
@@ -51,7 +51,7 @@ pub struct ToolShown {
 
 impl Performance {
     /// Draws the random deviations of one performance over a table of height `table_height`, m.
-    pub fn new(demonstration: &Demonstration, table_height: f64, rng: &mut impl Rng) -> Self {
+    pub fn new(demonstration: &DemonstrationSpec, table_height: f64, rng: &mut impl Rng) -> Self {
         let height = table_height + demonstration.height;
         let at = |p: [f64; 2]| Vector3::new(p[0], p[1], height);
         let (from, to) = (at(demonstration.swipe.from), at(demonstration.swipe.to));
@@ -148,7 +148,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     fn performance(jitter: f64) -> Performance {
-        let d = Demonstration { jitter, ..Demonstration::default() };
+        let d = DemonstrationSpec { jitter, ..DemonstrationSpec::default() };
         Performance::new(&d, 0.95, &mut ChaCha8Rng::seed_from_u64(3))
     }
 

@@ -18,7 +18,7 @@ pub(crate) use demonstration::minimum_jerk;
 pub use demonstration::{Performance, ToolShown};
 pub use path::{CoachPath, PhaseTracker, Wobble, wrap};
 
-use crate::world::{CoachSpec, Demonstration};
+use crate::world::{CoachSpec, DemonstrationSpec};
 use coaching::Coaching;
 
 /// The coach's state at an instant.
@@ -50,7 +50,7 @@ pub struct SeenArm {
 /// The coach of a world.
 #[derive(Clone, Debug)]
 pub struct Coach {
-    demonstration: Option<Demonstration>,
+    demonstration: Option<DemonstrationSpec>,
     table_height: f64,
     performance: Option<(f64, Performance)>,
     coaching: Coaching,

@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 use rand::{Rng, RngExt};
 
-use crate::world::{Demonstration, PathShape};
+use crate::world::{DemonstrationSpec, PathShape};
 
 /// The periodic part of a demonstration, in the horizontal plane of the root frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,7 +19,7 @@ pub struct CoachPath {
 
 impl CoachPath {
     /// The path of a demonstration, about the middle of its swipe.
-    pub fn new(demonstration: &Demonstration) -> Self {
+    pub fn new(demonstration: &DemonstrationSpec) -> Self {
         let swipe = &demonstration.swipe;
         Self {
             shape: demonstration.shape,
@@ -195,7 +195,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     fn path(shape: PathShape) -> CoachPath {
-        CoachPath::new(&Demonstration { shape, ..Demonstration::default() })
+        CoachPath::new(&DemonstrationSpec { shape, ..DemonstrationSpec::default() })
     }
 
     #[test]

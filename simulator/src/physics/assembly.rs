@@ -102,17 +102,17 @@ pub(super) struct Assembly {
     /// For every link of the model: the lump that carries it, if any, and its pose in that lump.
     links: Vec<(Option<usize>, Isometry3<f64>)>,
     /// True mass beyond a wrench sensor over that of the model.
-    hand_mass: f64,
+    hand_mass_scale: f64,
 }
 
 impl Assembly {
     /// Splits a model into the bodies of the `dynamic` joints; all others stand in `posture`. What the `touching` joints
-    /// move has collision shapes. What is beyond a wrench sensor is `hand_mass` times as heavy as the model says.
+    /// move has collision shapes. What is beyond a wrench sensor is `hand_mass_scale` times as heavy as the model says.
     pub(super) fn new(
         model: &Model,
         posture: &[f64],
         (dynamic, touching): (&[usize], &[usize]),
-        hand_mass: f64,
+        hand_mass_scale: f64,
     ) -> Self {
         let mut lumps: Vec<Lump> = Vec::new();
         let mut links: Vec<(Option<usize>, Isometry3<f64>)> = Vec::new();
@@ -150,7 +150,7 @@ impl Assembly {
             }
             let (lump, body_from_link) = links[id.index()];
             if let (Some(lump), Some(inertial)) = (lump, &link.inertial) {
-                let scale = if hands.contains(&id) { hand_mass } else { 1.0 };
+                let scale = if hands.contains(&id) { hand_mass_scale } else { 1.0 };
                 lumps[lump].mass.add_link(inertial, &body_from_link, scale);
             }
             if touches[id.index()] {
@@ -162,7 +162,7 @@ impl Assembly {
                 }));
             }
         }
-        Self { lumps, touching: shapes, links, hand_mass }
+        Self { lumps, touching: shapes, links, hand_mass_scale }
     }
 
     /// What is beyond a wrench sensor whose hand's TCP is given.
@@ -177,7 +177,7 @@ impl Assembly {
                     fingers.push(finger);
                 }
             } else if let Some(inertial) = &model.links()[link.index()].inertial {
-                palm.add_link(inertial, &body_from_link, self.hand_mass);
+                palm.add_link(inertial, &body_from_link, self.hand_mass_scale);
             }
         }
         Wrist { lump, body_from_sensor, body_from_tcp: self.links[tcp.index()].1, palm, fingers }

@@ -113,7 +113,7 @@ impl PlantRobot {
         }
         let carriers: Vec<usize> = heavy.iter().copied().filter(|joint| !touching.contains(joint)).collect();
         let touching = if pads.is_empty() { touching } else { Vec::new() };
-        let assembly = Assembly::new(&model, &start, (&carriers, &touching), errors.hand_mass);
+        let assembly = Assembly::new(&model, &start, (&carriers, &touching), errors.hand_mass_scale);
         let still = vec![0.0; start.len()];
         let parts = add_robot(physics, &model, &assembly, (&room_from_root, &errors), (&start, &still))?;
         let arm = |limb: &&Limb| {
@@ -193,7 +193,8 @@ impl PlantRobot {
         let touching: Vec<usize> = touching.flat_map(|arm| arm.joints.iter().copied()).collect();
         self.parts.remove(physics);
         let Joints { position, velocity, .. } = &self.joints;
-        let assembly = Assembly::new(&self.model, position, (&dynamic, &touching), self.errors.hand_mass);
+        let assembly =
+            Assembly::new(&self.model, position, (&dynamic, &touching), self.errors.hand_mass_scale);
         self.parts = add_robot(
             physics,
             &self.model,

@@ -166,10 +166,10 @@ fn unit(x: f64, y: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::{Demonstration, PathShape};
+    use crate::world::{DemonstrationSpec, PathShape};
 
     fn path(shape: PathShape) -> CoachPath {
-        CoachPath::new(&Demonstration { shape, ..Demonstration::default() })
+        CoachPath::new(&DemonstrationSpec { shape, ..DemonstrationSpec::default() })
     }
 
     fn performed(shape: PathShape, frequency: f64, seconds: f64) -> Vec<Vector3<f64>> {

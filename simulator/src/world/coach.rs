@@ -14,7 +14,7 @@ form! {
         /// What the coach demonstrates with.
         pub tool: ToolSpec = ToolSpec::default();
         /// What the coach demonstrates; `none` is a coach who never does.
-        pub demonstration: Option<Demonstration> = Some(Demonstration::default()), Rule::OR_NONE;
+        pub demonstration: Option<DemonstrationSpec> = Some(DemonstrationSpec::default()), Rule::OR_NONE;
         /// What the coach does while the robot wipes, in order, each after the one before.
         pub coaching: Vec<CoachingStep> = default_coaching(), Rule::most(MAX_LIST);
         /// When the coach has gone, s from the start of wiping.
@@ -62,7 +62,7 @@ form! {
 
 form! {
     /// A swipe that shows where, then a periodic motion about the swipe's middle.
-    pub struct Demonstration: "a demonstration" {
+    pub struct DemonstrationSpec: "a demonstration" {
         /// Form of the path.
         pub shape: PathShape = PathShape::Ellipse;
         /// Full width (x) and depth (y) of the path, m; negative: mirrored in that direction.
@@ -70,7 +70,7 @@ form! {
         /// Periods of the whole path a second (a figure of eight counts once), Hz.
         pub frequency: f64 = 0.5, Rule::number("Hz", 0.05, 5.0);
         /// The swipe across the workspace.
-        pub swipe: Swipe = Swipe::default();
+        pub swipe: SwipeSpec = SwipeSpec::default();
         /// Height of the tool's centre above the table's height, m.
         pub height: f64 = 0.20, Rule::number("m", 0.05, 0.8);
         /// How many periods; 0 is a coach who never demonstrates.
@@ -97,7 +97,7 @@ choice!(PathShape { "ellipse" => Self::Ellipse, "eight" => Self::Eight, "line" =
 
 form! {
     /// The first swipe, from lower left to upper right: it gives the workspace.
-    pub struct Swipe: "a swipe", check Self::goes_somewhere {
+    pub struct SwipeSpec: "a swipe", check Self::goes_somewhere {
         /// Start x, y, m.
         pub from: [f64; 2] = [0.20, 0.48], within(3.0);
         /// End x, y, m.
@@ -105,7 +105,7 @@ form! {
     }
 }
 
-impl Swipe {
+impl SwipeSpec {
     fn goes_somewhere(&self, node: &Node, findings: &mut Findings) {
         let [dx, dy] = [self.to[0] - self.from[0], self.to[1] - self.from[1]];
         if dx.hypot(dy) < 0.02 {

@@ -32,8 +32,8 @@ pub use agents::{AgentSpec, CoverSpec};
 pub use armarium_visionx::Gesture;
 pub use bodies::{BodyMotion, BodyShape, BodySpec, ContentsSpec, HingeSpec, Place, SlideSpec, Softness};
 pub use coach::{
-    CoachSpec, CoachingAction, CoachingStep, Demonstration, Palm, PathShape, Push, Show, Swipe, Timing,
-    ToolSpec,
+    CoachSpec, CoachingAction, CoachingStep, DemonstrationSpec, Palm, PathShape, Push, Show, SwipeSpec,
+    Timing, ToolSpec,
 };
 
 pub use person::{ActorSpec, PersonAction, PersonSpec, Side};
@@ -135,8 +135,8 @@ form! {
     pub struct NoiseSpec: "`noise`" {
         /// White noise of each force axis at 1 kHz, N; torque axes have a twentieth of it, N m.
         pub wrench: f64 = 0.3, Rule::number("N", 0.0, 20.0);
-        /// Coloured noise of each force axis, N; torque axes have a twentieth of it, N m: a random walk that returns within a
-        /// twentieth of a second.
+        /// Standard deviation of slow noise of each force axis, N; torque axes have a twentieth of it, N m. It is forgotten with a
+        /// time constant of 50 ms.
         pub wrench_colored: f64 = 0.1, Rule::number("N", 0.0, 20.0);
         /// Standard deviation of the constant offset of each force axis, N; torque axes a twentieth, N m.
         pub wrench_bias: f64 = 1.0, Rule::number("N", 0.0, 100.0);
@@ -208,7 +208,7 @@ form! {
         /// Rotation about x (positive: the far edge is higher) and about y (positive: the right edge is lower), degrees.
         pub tilt_deg: [f64; 2] = [1.0, -1.5], Rule::degrees(15.0, "tilt");
         /// Bumps on its top.
-        pub bumps: Vec<Bump> = vec![Bump { at: [0.28, 0.55], height: 0.004, radius: 0.05 }], Rule::most(100);
+        pub bumps: Vec<BumpSpec> = vec![BumpSpec { at: [0.28, 0.55], height: 0.004, radius: 0.05 }], Rule::most(100);
         /// Coulomb friction of sponge on table.
         pub friction: f64 = 0.5, Rule::number("", 0.0, 2.0);
         /// Colour, RGB.
@@ -218,7 +218,7 @@ form! {
 
 form! {
     /// A smooth bump: `height * (1 - r^2 / radius^2)^2` within `radius` of `at`, nothing beyond.
-    pub struct Bump: "a bump" {
+    pub struct BumpSpec: "a bump" {
         /// Centre x, y, m.
         pub at: [f64; 2] = [0.28, 0.55], within(5.0);
         /// Height at the centre, m; negative is a dent.
@@ -294,7 +294,7 @@ form! {
     /// An accident: a force on an object or on the robot's hand.
     pub struct Disturbance: "a disturbance" {
         /// What the time counts from.
-        pub after: Milestone = Milestone::Wiping;
+        pub after: WorldEvent = WorldEvent::Wiping;
         /// When, s after that.
         pub at: f64 = 1.0, Rule::number("s", 0.0, 3600.0);
         /// Name of an object, or `hand`.
@@ -309,14 +309,14 @@ form! {
 /// What a disturbance's time counts from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Milestone {
+pub enum WorldEvent {
     /// The moment when an object is held for the first time.
     Grasp,
     /// The moment when the robot says that it is wiping.
     #[default]
     Wiping,
 }
-choice!(Milestone { "grasp" => Self::Grasp, "wiping" => Self::Wiping });
+choice!(WorldEvent { "grasp" => Self::Grasp, "wiping" => Self::Wiping });
 
 /// Names of agents are parts of network keys.
 fn check_agent_name(name: &str, node: &Node, findings: &mut Findings) {

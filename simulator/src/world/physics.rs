@@ -111,7 +111,7 @@ impl CameraSpec {
 }
 
 impl NoiseSpec {
-    /// Takes the errors away that the file does not name: of noise, an ideal robot's is white.
+    /// Takes the errors away that the file does not name: the noise of an ideal robot's sensors is white. Offsets and drift stay.
     fn idealise(&mut self, written: Option<&Node>) {
         if written.and_then(|robot| robot.get("noise")?.get("wrench_colored")).is_none() {
             self.wrench_colored = 0.0;

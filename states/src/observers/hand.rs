@@ -7,7 +7,7 @@ use std::sync::Arc;
 use armarium_memoryx::updater::Updater;
 use armarium_runtime::channels::Channels;
 use armarium_values::{Frame, Observation, Value, Vector};
-use armarium_visionx::{HandObserver, HandStep, observe as observed};
+use armarium_visionx::{HandObserver, HandStep, observations_of};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::arm::tcp_of;
@@ -28,7 +28,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
             hand = fresh();
         }
         let Ok(frame) = equipment.images.next().await else { return };
-        let Some(seen) = observed(&mut hand, &frame, &Frame::root()).pop() else {
+        let Some(seen) = observations_of(&mut hand, &frame, &Frame::root()).pop() else {
             continue;
         };
         let mut value = describe(&equipment, &channels, &seen);

@@ -1,7 +1,8 @@
 //! `CalibrateHandEye`: finds the true pose of the cameras by observing the marker on the robot's own hand.
 //!
 //! The hand moves to several places over where the arm works. At each one, the marker's position is measured by the camera,
-//! and computed for the assumed camera pose. Both point sets give the mounting (least squares, Arun et al.).
+//! and computed for the camera pose that is known so far. Both point sets give what is left of its error (least squares, Arun et
+//! al.).
 
 use std::sync::Arc;
 
@@ -80,6 +81,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut watcher = MarkerWatcher::new(&equipment, arm.limb())?;
+    // The mounting through which everything is seen now.
+    let known = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
         let tcp = Isometry3::from_parts((center.coords + facing * Vector3::from(place)).into(), palm);
@@ -112,8 +115,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let stamp_ns = senses.newest().stamp_ns;
-    // What was seen was seen through the mounting that is known.
-    let known = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     known
         .refined(&fit.target_from_source)
         .store(&*equipment.memory, &equipment.agent, fit.rms, stamp_ns)

@@ -27,7 +27,7 @@ const PAGE: &str = include_str!("page.html");
 
 type LatestJpeg = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
-/// Answers browsers at `listener` until it is dropped. After the provider has ended, the page keeps its last frame.
+/// Answers browsers at `listener` until the future is dropped. After the provider has ended, the page keeps its last frame.
 /// `remote` is the provider's remote end, if it is in another process.
 pub async fn serve(
     listener: TcpListener,
