@@ -233,7 +233,7 @@ impl Stage {
         let (seed, known) = (config.seed, memory.memory());
         let (mut robot, mover) = match outside {
             Some(outside) => {
-                let (robot, mover) = outside.stage(world, seed, known, config.speed_scale)?;
+                let (robot, mover) = outside.stage(world, seed, known, config.speed_scale, &digest)?;
                 (robot, Mover::Outside(mover))
             }
             None => {

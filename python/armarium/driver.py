@@ -170,7 +170,7 @@ class _Served:
                 self.gate.release(str(asked.get("commander")))
             else:
                 caller = str(asked.get("caller") or "somebody")
-                self.gate.claim(str(asked.get("commander")), caller, time.monotonic())
+                self.gate.claim(str(asked.get("commander") or ""), caller, time.monotonic())
 
     def drive(self, stopped: threading.Event) -> None:
         """Sends samples and applies what comes, until stopped."""
@@ -210,6 +210,7 @@ class _Served:
 
     def _sample(self, number: int, braked: bool, refused: str | None) -> bytes:
         sample = self.driver.sample()
+        self._check(sample)
         return cbor2.dumps(
             {
                 "epoch": self.epoch,
@@ -222,6 +223,21 @@ class _Served:
                 "refused": refused,
             }
         )
+
+
+    def _check(self, sample: Sample) -> None:
+        """A sample of other joints or sensors than were described is an error of the program that gives it."""
+        joints, sensors = len(self.driver.joints), len(self.driver.wrenches)
+        for what, got, expected in (
+            ("positions", len(sample.position), joints),
+            ("velocities", len(sample.velocity), joints),
+            ("wrenches", len(sample.wrenches), sensors),
+        ):
+            if got != expected:
+                raise ValueError(f"a sample with {got} {what}; the driver has described {expected}")
+        for name, wrench in zip(self.driver.wrenches, sample.wrenches, strict=True):
+            if len(wrench) != 6:
+                raise ValueError(f"the wrench of `{name}` has {len(wrench)} numbers: force and torque are 6")
 
 
 def _read(message: zenoh.Sample | zenoh.Query, name: str) -> dict[str, Any]:

@@ -18,6 +18,10 @@ SILENCE_S = 1.0
 """After so long without targets another commander may claim the driver, s."""
 
 
+MAX_NAME = 200
+"""Longest name of a commander or a caller."""
+
+
 class Refused(Exception):
     """Why a claim or targets are refused."""
 
@@ -62,6 +66,8 @@ class Gate:
 
     def claim(self, commander: str, caller: str, now_s: float) -> None:
         """Somebody asks for the right to send targets."""
+        if not commander or max(len(commander), len(caller)) > MAX_NAME:
+            raise Refused(f"a commander has a name of 1 to {MAX_NAME} bytes, a caller one of at most so many")
         by = self._commander
         if by is not None and by.id != commander and now_s - by.heard_s <= SILENCE_S:
             raise Refused(f"it is commanded by `{by.caller}`")

@@ -1,6 +1,7 @@
 """A driver in a session, and a commander in another one that does everything right and wrong."""
 
 import contextlib
+import dataclasses
 import json
 import math
 import queue
@@ -175,3 +176,23 @@ def test_in_real_time_it_brakes_without_targets():
             pass
         threading.Event().wait(0.1)
         assert driver.brakes > before, "it goes on braking"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"position": [0.0]}, "1 positions; the driver has described 2"),
+        ({"velocity": [0.0] * 3}, "3 velocities; the driver has described 2"),
+        ({"wrenches": []}, "0 wrenches; the driver has described 1"),
+        ({"wrenches": [[0.0] * 3]}, "the wrench of `wrist` has 3 numbers"),
+    ],
+)
+def test_a_sample_of_other_joints_than_were_described_ends_the_driver_with_the_reason(change, reason):
+    class Wrong(Joints):
+        def sample(self):
+            return dataclasses.replace(super().sample(), **change)
+
+    driver = Wrong("realtime")
+    with pytest.raises(ValueError, match=reason):
+        driver.serve()
+    assert driver.brakes == 1

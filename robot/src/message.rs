@@ -1,11 +1,14 @@
 //! Messages as bytes with the schema that their encoding names.
 
-use armarium_bus::{CodecError, Payload, codec};
+use armarium_bus::{Bounds, CodecError, Payload, codec};
+
+/// What a message of this room may be at most: it is read on a thread of the link.
+const BOUNDS: Bounds = Bounds { bytes: 256 << 10, items: 32 << 10, depth: 16 };
 
 /// Decodes a payload whose encoding names the type.
 pub(crate) fn read<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, CodecError> {
     T::SCHEMA.check(encoding)?;
-    codec::decode(payload)
+    codec::decode_within(payload, BOUNDS)
 }
 
 /// Encoding and payload; the messages of this room can be encoded.

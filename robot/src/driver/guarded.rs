@@ -85,10 +85,11 @@ impl GuardedDriver {
     }
 
     fn end(mut self, ended: Result<u64, DriverError>) -> Result<(), DriverError> {
-        self.driver.brake();
         let reason =
             ended.as_ref().err().map_or_else(|| "its driver was left".to_owned(), ToString::to_string);
+        // Skills are told first: a driver that is out of reach is waited for when it is to brake.
         self.guard.end(&reason);
+        self.driver.brake();
         ended.map(drop)
     }
 }

@@ -12,7 +12,7 @@ use parking_lot::{Condvar, Mutex};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::gate::{Gate, WATCHDOG_NS};
+use super::gate::{Gate, Refused, WATCHDOG_NS};
 use super::wire::{Claim, Description, DriverRefusal, Keys, Release, WireSample, WireTargets};
 use super::{Driver, DriverClock, DriverError, TimedSample};
 use crate::message::{read, written};
@@ -73,7 +73,7 @@ impl DriverServer {
             let mut gate = taking.gate.lock();
             match read::<WireTargets>(&message.encoding, &message.payload) {
                 Ok(targets) => gate.offer(targets, now_ns),
-                Err(error) => gate.refuse(error.to_string()),
+                Err(error) => gate.refuse(error.into()),
             }
             taking.arrived.notify_one();
         });
@@ -109,8 +109,8 @@ impl Shared {
                     let (encoding, payload) = written(&self.described);
                     query.reply(&key, &encoding, payload).await
                 }
-                Err(reason) => {
-                    let (encoding, payload) = written(&DriverRefusal { reason });
+                Err(refused) => {
+                    let (encoding, payload) = written(&DriverRefusal { reason: refused.to_string() });
                     query.refuse(&encoding, payload).await
                 }
             };
@@ -121,18 +121,17 @@ impl Shared {
     }
 
     /// A question without a payload changes nothing.
-    fn claimed(&self, query: &IncomingQuery) -> Result<(), String> {
+    fn claimed(&self, query: &IncomingQuery) -> Result<(), Refused> {
         let IncomingQuery { encoding, payload, .. } = query;
         if payload.is_empty() {
             return Ok(());
         }
         if Release::SCHEMA.check(encoding).is_ok() {
-            let Release { commander } = read(encoding, payload).map_err(|error| error.to_string())?;
+            let Release { commander } = read(encoding, payload)?;
             self.gate.lock().release(&commander);
             return Ok(());
         }
-        let claim: Claim = read(encoding, payload).map_err(|error| error.to_string())?;
-        self.gate.lock().claim(claim, self.now_ns())
+        self.gate.lock().claim(read::<Claim>(encoding, payload)?, self.now_ns())
     }
 
     /// Samples, sends, and applies what comes, until the driver is lost or this ends.
@@ -141,6 +140,7 @@ impl Shared {
         while !ends.load(Ordering::Relaxed) {
             let Ok(timed) = driver.sample() else { return };
             let (braked, refused) = self.gate.lock().begin_sample(number, self.now_ns());
+            let refused = refused.map(|refused| refused.to_string());
             let payload = written(&self.sample(number, timed, braked, refused)).1;
             let sent = sender.send(payload.clone());
             let targets = match driver.clock() {

@@ -173,8 +173,9 @@ impl Guard {
 
     /// Stops the robot for good, as its drives are out of reach: leases are refused with the reason, and no sample follows.
     pub fn end(&mut self, reason: &str) {
-        let shared = Arc::clone(&self.shared);
-        GuardedRobot { shared }.stop(reason);
+        let robot = GuardedRobot { shared: Arc::clone(&self.shared) };
+        robot.shared.leases().ended = Some(reason.to_owned());
+        robot.stop(reason);
         // Once more, so that those who command are told why before the samples end.
         self.shared.sensed.send(self.shared.sensed.borrow());
         self.shared.sensed.close();
