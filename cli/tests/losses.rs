@@ -10,6 +10,7 @@
     reason = "a test may fail, and says what it measured"
 )]
 
+use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
@@ -124,7 +125,7 @@ impl Driver for Walled {
         if writeln!(out, "at {} {fastest} {}", self.steps, push.norm()).and_then(|()| out.flush()).is_err() {
             std::process::exit(0);
         }
-        Ok(TimedSample { stamp_ns: self.steps * 1_000_000, sample, braked: false })
+        Ok(TimedSample { stamp_ns: self.steps * 1_000_000, sample, braked: false, bodies: BTreeMap::new() })
     }
 
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {

@@ -21,6 +21,7 @@ use crate::console::Console;
 use crate::error::HostError;
 use crate::recording::RunDigest;
 use crate::simulated::{StagedRobot, equipment_of};
+use crate::told_scene::{self, SceneTeller};
 
 /// Where a run finds its robot, if not in the simulator.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,11 +53,12 @@ pub(crate) struct Wanted {
     fastest: Arc<Mutex<Vec<f64>>>,
 }
 
-/// A driver whose targets count in the run's digest.
-struct Digested<D> {
+/// A driver whose targets count in the run's digest, and that tells cameras what there is to see, if it knows it.
+struct Witnessed<D> {
     driver: D,
     digest: RunDigest,
     stamp_ns: u64,
+    teller: Option<SceneTeller>,
 }
 
 impl Outside {
@@ -94,7 +96,7 @@ impl Outside {
         clock == DriverClock::Lockstep
     }
 
-    /// The robot with what its skills need; it sees nothing until it is given cameras. Its commanded velocities are multiplied
+    /// The robot with what its skills need; it sees what its driver tells of the scene, or nothing until it is given cameras. Its commanded velocities are multiplied
     /// by `speed_scale`, if that is given. The targets of its joints are added to the digest, where the guard is here.
     pub(crate) fn stage(
         self,
@@ -102,14 +104,25 @@ impl Outside {
         seed: u64,
         memory: &Arc<WorkingMemory>,
         speed_scale: Option<f64>,
-        digest: &RunDigest,
+        (digest, console): (&RunDigest, &dyn Console),
     ) -> Result<(StagedRobot, Mover), HostError> {
+        let bodies = match &self {
+            Self::Driver(driver) => driver.bodies(),
+            Self::DryDriver(driver) => driver.bodies(),
+            Self::Guard(_) => Vec::new(),
+        };
+        let mut images: Arc<dyn ImageSource> = Arc::new(NoCameras::of(world));
+        let mut teller = None;
+        if !bodies.is_empty() {
+            let (tells, cameras) = told_scene::cameras(world, seed, &bodies, console)?;
+            (images, teller) = (Arc::new(cameras), Some(tells));
+        }
         let (robot, mover): (Arc<dyn Robot>, Mover) = match self {
-            Self::Driver(driver) => driven(world.model()?, *driver, digest, None),
+            Self::Driver(driver) => driven(world.model()?, *driver, (digest, teller), None),
             Self::DryDriver(driver) => {
                 let model = world.model()?;
                 let wanted = Wanted { model: Arc::clone(&model), fastest: driver.fastest() };
-                driven(model, *driver, digest, Some(wanted))
+                driven(model, *driver, (digest, teller), Some(wanted))
             }
             Self::Guard(robot) => {
                 let sensed = robot.sensed();
@@ -119,7 +132,6 @@ impl Outside {
         if let Some(scale) = speed_scale {
             robot.set_speed_scale(scale)?;
         }
-        let images = Arc::new(NoCameras::of(world));
         let robot = RobotInWorld { name: world.robot.name.clone(), robot, images };
         let equipment = equipment_of(&robot, &world.robot, memory, seed);
         Ok((StagedRobot { referee: Referee::new(world), handle: Handle::default(), equipment }, mover))
@@ -130,15 +142,15 @@ impl Outside {
 fn driven(
     model: Arc<Model>,
     driver: impl Driver + 'static,
-    digest: &RunDigest,
+    (digest, teller): (&RunDigest, Option<SceneTeller>),
     wanted: Option<Wanted>,
 ) -> (Arc<dyn Robot>, Mover) {
     let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
-    let driver = Digested { driver, digest: digest.clone(), stamp_ns: 0 };
+    let driver = Witnessed { driver, digest: digest.clone(), stamp_ns: 0, teller };
     (robot, Mover::Driver(Box::new(GuardedDriver::new(guard, driver)), wanted))
 }
 
-impl<D: Driver> Driver for Digested<D> {
+impl<D: Driver> Driver for Witnessed<D> {
     fn clock(&self) -> DriverClock {
         self.driver.clock()
     }
@@ -150,6 +162,7 @@ impl<D: Driver> Driver for Digested<D> {
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let timed = self.driver.sample()?;
         self.stamp_ns = timed.stamp_ns;
+        self.teller.iter_mut().for_each(|teller| teller.tell(&timed));
         Ok(timed)
     }
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import cbor2
@@ -19,6 +19,10 @@ from .gate import WATCHDOG_S, Gate, Refused, Targets
 
 AGAIN_S = 0.1
 """A driver in lockstep that hears nothing sends its sample again so often, s."""
+
+
+Pose = tuple[Sequence[float], Sequence[float]]
+"""A position (m) and a unit quaternion x, y, z, w."""
 
 
 @dataclass
@@ -33,6 +37,9 @@ class Sample:
     """rad/s (m/s)"""
     wrenches: Sequence[Sequence[float]] = ()
     """For each sensor force (N) and torque (N m) that the hand exerts on it, in the sensor's frame, about its origin."""
+    bodies: Mapping[str, Pose] = field(default_factory=dict)
+    """Where bodies are, by their names, in the frame in which the odometry began. A simulation tells it, for cameras that draw
+    its scene, about as often as they take pictures; other samples have none."""
 
 
 class Driver:
@@ -51,13 +58,14 @@ class Driver:
         wrenches: Sequence[str] = (),
         rate_hz: float = 1000.0,
         clock: Literal["lockstep", "realtime"] = "realtime",
+        bodies: Sequence[str] = (),
     ) -> None:
         if clock not in ("lockstep", "realtime"):
             raise ValueError(f"clock is lockstep or realtime, not {clock!r}")
         if not 1.0 <= rate_hz <= 10_000.0:
             raise ValueError(f"rate_hz is 1 to 10000, not {rate_hz}")
         self.agent, self.name = agent, name
-        self.joints, self.wrenches = list(joints), list(wrenches)
+        self.joints, self.wrenches, self.bodies = list(joints), list(wrenches), list(bodies)
         self.rate_hz, self.clock = float(rate_hz), clock
         self._stopped = threading.Event()
 
@@ -128,6 +136,7 @@ class _Served:
             "clock": driver.clock,
             "epoch": self.epoch,
             "watchdog_s": WATCHDOG_S,
+            "bodies": driver.bodies,
         }
         key = f"{driver.agent}/drive/{driver.name}"
         self.publisher = session.declare_publisher(
@@ -221,6 +230,7 @@ class _Served:
                 "wrenches": [[float(value) for value in wrench] for wrench in sample.wrenches],
                 "braked": braked,
                 "refused": refused,
+                "bodies": {name: _pose(pose) for name, pose in sample.bodies.items()},
             }
         )
 
@@ -238,6 +248,13 @@ class _Served:
         for name, wrench in zip(self.driver.wrenches, sample.wrenches, strict=True):
             if len(wrench) != 6:
                 raise ValueError(f"the wrench of `{name}` has {len(wrench)} numbers: force and torque are 6")
+
+
+def _pose(pose: Pose) -> list[list[float]]:
+    position, rotation = pose
+    if len(position) != 3 or len(rotation) != 4:
+        raise ValueError("a pose is a position of 3 numbers and a quaternion of 4")
+    return [[float(value) for value in position], [float(value) for value in rotation]]
 
 
 def _read(message: zenoh.Sample | zenoh.Query, name: str) -> dict[str, Any]:

@@ -95,7 +95,7 @@ def served(clock):
     with socket.socket() as tried:
         tried.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{tried.getsockname()[1]}"
-    driver, ready = Joints(clock), threading.Event()
+    driver, ready = clock if isinstance(clock, Joints) else Joints(clock), threading.Event()
     thread = threading.Thread(target=driver.serve, kwargs={"listen": [endpoint], "ready": ready.set})
     thread.start()
     try:
@@ -161,6 +161,20 @@ def test_a_second_commander_and_another_version_are_refused():
         assert commander.claim()["joints"] == ["shoulder", "elbow"]
 
 
+def test_samples_tell_where_bodies_are():
+    class Kitchen(Joints):
+        def __init__(self):
+            super().__init__("lockstep")
+            self.bodies = ["cup"]
+
+        def sample(self):
+            return dataclasses.replace(super().sample(), bodies={"cup": ([0.1, 0.2, 0.3], [0.0, 0.0, 0.0, 1.0])})
+
+    with served(Kitchen()) as (_, commander):
+        assert commander.claim()["bodies"] == ["cup"]
+        assert commander.sample()["bodies"] == {"cup": [[0.1, 0.2, 0.3], [0.0, 0.0, 0.0, 1.0]]}
+
+
 def test_in_real_time_it_brakes_without_targets():
     with served("realtime") as (driver, commander):
         commander.claim()
@@ -185,6 +199,7 @@ def test_in_real_time_it_brakes_without_targets():
         ({"velocity": [0.0] * 3}, "3 velocities; the driver has described 2"),
         ({"wrenches": []}, "0 wrenches; the driver has described 1"),
         ({"wrenches": [[0.0] * 3]}, "the wrench of `wrist` has 3 numbers"),
+        ({"bodies": {"cup": ([0.0], [0.0] * 4)}}, "a pose is a position of 3 numbers"),
     ],
 )
 def test_a_sample_of_other_joints_than_were_described_ends_the_driver_with_the_reason(change, reason):

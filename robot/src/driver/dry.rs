@@ -41,6 +41,10 @@ impl<D: Driver> Driver for DryDriver<D> {
         self.driver.period()
     }
 
+    fn bodies(&self) -> Vec<String> {
+        self.driver.bodies()
+    }
+
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let timed = self.driver.sample()?;
         self.held.get_or_insert_with(|| JointTargets {

@@ -15,9 +15,11 @@ mod served;
 mod tests;
 mod wire;
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use armarium_bus::{CodecError, KeyError, SessionError};
+use nalgebra::Isometry3;
 
 pub use dry::DryDriver;
 pub use guarded::GuardedDriver;
@@ -45,6 +47,9 @@ pub struct TimedSample {
     pub sample: Sample,
     /// Whether the joints stand, or brake, because targets had not come in time.
     pub braked: bool,
+    /// Where bodies are, by their names, in the frame in which the odometry began; empty where nothing is told. A simulation tells
+    /// it, for cameras that draw its scene.
+    pub bodies: BTreeMap<String, Isometry3<f64>>,
 }
 
 /// Joints and wrench sensors below a guard, in the order of a robot's model. Its functions may hold up the thread.
@@ -53,6 +58,10 @@ pub trait Driver: Send {
     fn clock(&self) -> DriverClock;
     /// The time from one sample to the next.
     fn period(&self) -> Duration;
+    /// The names of the bodies whose poses come with samples now and then; none where it knows of none.
+    fn bodies(&self) -> Vec<String> {
+        Vec::new()
+    }
     /// Waits for the next sample.
     ///
     /// # Errors

@@ -14,7 +14,7 @@ use tokio::time::Instant;
 
 use super::wire::{Claim, Description, Keys, Release, WireSample, WireTargets, described};
 use super::{Driver, DriverClock, DriverError, Mismatch, TimedSample};
-use crate::message::{read, written};
+use crate::message::{pose, read, written};
 use crate::throttled::Throttled;
 use crate::{ForceTorque, JointTargets, Model, Sample};
 
@@ -206,6 +206,10 @@ impl Driver for RemoteDriver {
         Duration::from_secs_f64(1.0 / self.described.rate_hz)
     }
 
+    fn bodies(&self) -> Vec<String> {
+        self.described.bodies.clone()
+    }
+
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let sample = self.newer()?;
         if let Some((_, before_ns)) = self.last
@@ -218,7 +222,7 @@ impl Driver for RemoteDriver {
             });
         }
         self.last = Some((sample.number, sample.stamp_ns));
-        let WireSample { stamp_ns, braked, position, velocity, wrenches, .. } = sample;
+        let WireSample { stamp_ns, braked, position, velocity, wrenches, bodies, .. } = sample;
         let joint = |values: &[f64]| {
             self.order.joints.iter().map(|&i| values.get(i).copied().unwrap_or(f64::NAN)).collect()
         };
@@ -229,7 +233,10 @@ impl Driver for RemoteDriver {
         // What is missing is no number, which the guard knows how to treat.
         let wrenches = self.order.wrenches.iter().map(wrench).collect();
         let sample = Sample { position: joint(&position), velocity: joint(&velocity), wrenches };
-        Ok(TimedSample { stamp_ns, sample, braked })
+        let bodies = bodies.into_iter().map(|(name, at)| (name, pose(at)));
+        // What is no pose is no body, either.
+        let bodies = bodies.filter(|(_, at)| at.to_homogeneous().iter().all(|c| c.is_finite()));
+        Ok(TimedSample { stamp_ns, sample, braked, bodies: bodies.collect() })
     }
 
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {

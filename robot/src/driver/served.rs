@@ -15,7 +15,7 @@ use tokio::time::Instant;
 use super::gate::{Gate, Refused, WATCHDOG_NS};
 use super::wire::{Claim, Description, DriverRefusal, Keys, Release, WireSample, WireTargets};
 use super::{Driver, DriverClock, DriverError, TimedSample};
-use crate::message::{read, written};
+use crate::message::{read, wire_pose, written};
 use crate::{JointTargets, Model};
 
 /// Claims and questions that wait.
@@ -61,6 +61,7 @@ impl DriverServer {
             clock,
             epoch: session.now_ns(),
             watchdog_s: WATCHDOG_NS as f64 * 1e-9,
+            bodies: driver.bodies(),
         };
         let gate = Gate::new(described.joints.len(), clock, period.as_nanos() as u64, described.epoch);
         let (gate, arrived, began) = (Mutex::new(gate), Condvar::new(), Instant::now());
@@ -179,7 +180,7 @@ impl Shared {
     }
 
     fn sample(&self, number: u64, timed: TimedSample, braked: bool, refused: Option<String>) -> WireSample {
-        let TimedSample { stamp_ns, sample, .. } = timed;
+        let TimedSample { stamp_ns, sample, bodies, .. } = timed;
         let wrench = |wrench: &crate::ForceTorque| {
             let (force, torque) = (wrench.force, wrench.torque);
             [force.x, force.y, force.z, torque.x, torque.y, torque.z]
@@ -193,6 +194,7 @@ impl Shared {
             velocity: sample.velocity,
             braked,
             refused,
+            bodies: bodies.iter().map(|(name, pose)| (name.clone(), wire_pose(pose))).collect(),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! A driver in another session: the guard above it keeps every rule, and what the driver must not take it refuses.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -247,8 +248,18 @@ fn of_another_start(model: &Model) -> (String, Vec<u8>) {
     let (position, velocity) = (model.zero(), model.zero());
     let (epoch, number, stamp_ns) = (1, u64::MAX, u64::MAX);
     let wrenches = vec![[0.0; 6]; model.wrenches().len()];
-    let refused = None;
-    written(&WireSample { epoch, number, stamp_ns, position, velocity, wrenches, braked: false, refused })
+    let (refused, bodies) = (None, BTreeMap::new());
+    written(&WireSample {
+        epoch,
+        number,
+        stamp_ns,
+        position,
+        velocity,
+        wrenches,
+        braked: false,
+        refused,
+        bodies,
+    })
 }
 
 #[test]

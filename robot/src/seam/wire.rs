@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use armarium_bus::{Key, KeyError, keys};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
+use crate::message::{WirePose, pose, wire_pose};
 use crate::planning::KnownBox;
 use crate::{Fault, ForceTorque, LeaseError, LeaseLimits, Load, LoadShape, Model, Sensed, SensedWrench};
 
@@ -184,18 +185,6 @@ pub(super) struct Done {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct RobotRefusal {
     pub(super) reason: String,
-}
-
-/// A position and a unit quaternion x y z w.
-type WirePose = ([f64; 3], [f64; 4]);
-
-fn wire_pose(pose: &Isometry3<f64>) -> WirePose {
-    (pose.translation.vector.into(), pose.rotation.coords.into())
-}
-
-fn pose((position, [x, y, z, w]): WirePose) -> Isometry3<f64> {
-    let rotation = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Vector3::from(position).into(), rotation)
 }
 
 /// What a hand holds.
