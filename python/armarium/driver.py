@@ -167,7 +167,8 @@ class _Served:
             try:
                 if query.payload is not None and len(query.payload.to_bytes()) > 0:
                     self._claimed(query)
-                query.reply(query.key_expr, cbor2.dumps(self.description), encoding=_schema("description"))
+                described = self.description | {"claims": self.gate.claims}
+                query.reply(query.key_expr, cbor2.dumps(described), encoding=_schema("description"))
             except Refused as why:
                 query.reply_err(cbor2.dumps({"reason": str(why)}), encoding=_schema("refusal"))
 
@@ -230,6 +231,7 @@ class _Served:
                 "wrenches": [[float(value) for value in wrench] for wrench in sample.wrenches],
                 "braked": braked,
                 "refused": refused,
+                "claims": self.gate.claims,
                 "bodies": {name: _pose(pose) for name, pose in sample.bodies.items()},
             }
         )

@@ -49,6 +49,7 @@ class Gate:
     def __init__(self, joints: int, realtime: bool, period_s: float, epoch: int) -> None:
         self._joints, self._realtime, self._period_s, self._epoch = joints, realtime, period_s, epoch
         self._commander: _Commander | None = None
+        self.claims = 0
         self._newest = 0
         self._answered = -1
         self._braked_since: int | None = 0 if realtime else None
@@ -71,6 +72,7 @@ class Gate:
         by = self._commander
         if by is not None and by.id != commander and now_s - by.heard_s <= SILENCE_S:
             raise Refused(f"it is commanded by `{by.caller}`")
+        self.claims += 1
         self._commander = _Commander(commander, caller, now_s)
         self._give_up_last()
 

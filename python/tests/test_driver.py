@@ -158,7 +158,12 @@ def test_a_second_commander_and_another_version_are_refused():
         commander.name = "test"
         commander.ask("claim", {"commander": "test"}, schema("release"))
         commander.name = "second"
-        assert commander.claim()["joints"] == ["shoulder", "elbow"]
+        described = commander.claim()
+        assert (described["joints"], described["claims"]) == (["shoulder", "elbow"], 2)
+        commander.answer(commander.sample())
+        while (sample := commander.sample())["number"] == 0:
+            pass
+        assert sample["claims"] == 2
 
 
 def test_samples_tell_where_bodies_are():

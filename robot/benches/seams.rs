@@ -24,7 +24,8 @@ use parking_lot::Mutex;
 use tokio::runtime::{Builder, Runtime};
 use zenoh::Wait as _;
 
-/// How often each way is gone.
+/// How often each way is gone. Before each there is a pause, as between the messages of a control loop: what follows at once finds threads
+/// that are awake.
 const TIMES: usize = 2000;
 /// A cycle is late when the targets come so long after the period in which they were due.
 const LATE: Duration = Duration::from_millis(2);
@@ -135,7 +136,7 @@ impl Robot for Target {
     fn model(&self) -> &Arc<Model> {
         &self.model
     }
-    fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
+    fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>> {
         self.sensed.subscribe()
     }
     fn lease_together(&self, _: &[&str], _: &str, _: LeaseLimits, _: &[String]) -> Result<Lease, LeaseError> {
@@ -191,11 +192,13 @@ fn above(network: &Network, model: &Arc<Model>) {
     let (mut leased, mut questions) = (Vec::new(), Vec::new());
     for _ in 0..TIMES {
         tick();
+        pause();
         let began = now();
         let lease = robot.lease(&arm.name, "bench", LeaseLimits::default()).unwrap();
         lease.command(&still).unwrap();
         leased.push(came.recv().unwrap() - began);
         drop(lease);
+        pause();
         let began = now();
         here.ask(&asked, ("", vec![0; 200]), Duration::from_secs(1)).unwrap();
         put.measure();
@@ -208,9 +211,11 @@ fn above(network: &Network, model: &Arc<Model>) {
     let (mut commands, mut puts) = (Vec::new(), Vec::new());
     for _ in 0..TIMES {
         tick();
+        pause();
         let began = now();
         lease.command(&still).unwrap();
         commands.push(came.recv().unwrap() - began);
+        pause();
         puts.push(put.measure());
         pause();
     }
@@ -225,6 +230,7 @@ fn above(network: &Network, model: &Arc<Model>) {
         threads.block_on(seen.changed()).unwrap();
         states.push(now() - began);
         seen.borrow_and_update();
+        pause();
         puts.push(put.measure());
         pause();
     }
@@ -307,6 +313,7 @@ fn below(network: &Network, model: &Arc<Model>) {
         let began = now();
         driver.apply(&wanted).unwrap();
         targets.push(came.recv().unwrap() - began);
+        pause();
         puts.push(put.measure());
         pause();
     }
@@ -332,17 +339,19 @@ fn below(network: &Network, model: &Arc<Model>) {
         }
         told.sampled = told.sampled.split_off(&stamp_ns);
         drop(told);
+        pause();
         puts.push(put.measure());
     }
     compare("sample to skill with the guard between, against a put", samples, puts);
 
-    (told.lock().periods, told.lock().late) = (0, 0);
+    *told.lock() = Told::default();
     let began = now();
     while began.elapsed() < COUNTED {
         threads.block_on(seen.changed()).unwrap();
         told.lock().sampled.clear();
     }
-    let (periods, late, seconds) = (told.lock().periods, told.lock().late, began.elapsed().as_secs_f64());
+    let (Told { periods, late, .. }, seconds) =
+        (std::mem::take(&mut *told.lock()), began.elapsed().as_secs_f64());
     let share = 100.0 * late as f64 / periods as f64;
     println!(
         "1 kHz for {seconds:.0} s: {periods} periods, of which {late} had targets late by 2 ms ({share:.3} %)"

@@ -63,6 +63,8 @@ pub(super) struct Gate {
     period_ns: u64,
     epoch: u64,
     commander: Option<Commander>,
+    /// How often it was claimed.
+    claims: u64,
     /// The number of the newest sample.
     newest: u64,
     /// The number of the last sample that was answered by the commander.
@@ -84,6 +86,7 @@ impl Gate {
             period_ns: period_ns.max(1),
             epoch,
             commander: None,
+            claims: 0,
             newest: 0,
             answered: None,
             braked_since,
@@ -117,9 +120,15 @@ impl Gate {
         if let Some(by) = other.filter(|by| now_ns.saturating_sub(by.heard_ns) <= SILENCE_NS) {
             return Err(Refused::Commanded { by: by.caller.clone() });
         }
+        self.claims += 1;
         self.commander = Some(Commander { id: claim.commander, caller: claim.caller, heard_ns: now_ns });
         self.give_up_last();
         Ok(())
+    }
+
+    /// How often it was claimed.
+    pub(super) fn claims(&self) -> u64 {
+        self.claims
     }
 
     /// The commander gives the right back.

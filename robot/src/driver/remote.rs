@@ -157,6 +157,11 @@ impl RemoteDriver {
                 self.is_there(within)?;
                 continue;
             };
+            if sample.claims > self.described.claims {
+                let reason =
+                    "somebody else has claimed it since, as it had heard no targets for too long".into();
+                return Err(DriverError::Refused { driver: self.name.clone(), reason });
+            }
             if let Some(reason) = &sample.refused {
                 self.refusals.warn(format_args!("the driver `{}` refused {reason}", self.name));
             }

@@ -62,6 +62,7 @@ impl DriverServer {
             epoch: session.now_ns(),
             watchdog_s: WATCHDOG_NS as f64 * 1e-9,
             bodies: driver.bodies(),
+            claims: 0,
         };
         let gate = Gate::new(described.joints.len(), clock, period.as_nanos() as u64, described.epoch);
         let (gate, arrived, began) = (Mutex::new(gate), Condvar::new(), Instant::now());
@@ -107,7 +108,8 @@ impl Shared {
         while let Some(query) = questions.next().await {
             let answered = match self.claimed(&query) {
                 Ok(()) => {
-                    let (encoding, payload) = written(&self.described);
+                    let claims = self.gate.lock().claims();
+                    let (encoding, payload) = written(&Description { claims, ..self.described.clone() });
                     query.reply(&key, &encoding, payload).await
                 }
                 Err(refused) => {
@@ -194,6 +196,7 @@ impl Shared {
             velocity: sample.velocity,
             braked,
             refused,
+            claims: self.gate.lock().claims(),
             bodies: bodies.iter().map(|(name, pose)| (name.clone(), wire_pose(pose))).collect(),
         }
     }

@@ -10,7 +10,7 @@ use tokio::runtime::{Builder, Runtime};
 use super::gate::{Gate, Refused};
 use super::wire::{Claim, Keys, WireSample, WireTargets};
 use super::{Driver, DriverClock, DriverError, DriverServer, DryDriver, GuardedDriver, RemoteDriver};
-use crate::message::written;
+use crate::message::{read, written};
 use crate::{
     Fault, Guard, GuardConfig, JointTargets, Lease, LeaseError, LeaseLimits, Model, Robot, ServoDriver,
     conformance,
@@ -189,6 +189,31 @@ fn a_guard_begins_again_where_the_joints_have_braked() {
 }
 
 #[test]
+fn a_guard_that_was_silent_for_too_long_learns_that_another_one_has_the_driver() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Realtime);
+    let mut first = network.connect("arm", &model).unwrap();
+    first.sample().unwrap();
+    pause();
+    let second = loop {
+        match network.connect("arm", &model) {
+            Ok(driver) => break driver,
+            Err(DriverError::Refused { .. }) => pause(),
+            Err(error) => panic!("{error}"),
+        }
+    };
+    let lost = loop {
+        if let Err(error) = first.sample() {
+            break error.to_string();
+        }
+    };
+    assert!(lost.starts_with("the driver `sim/arm` refuses: somebody else has claimed it since"), "{lost}");
+    // What the first one releases is not his.
+    drop(first);
+    drop(second);
+}
+
+#[test]
 fn in_a_dry_run_everything_happens_but_targets() {
     let network = Network::new();
     let model = model("pillar7");
@@ -248,7 +273,7 @@ fn of_another_start(model: &Model) -> (String, Vec<u8>) {
     let (position, velocity) = (model.zero(), model.zero());
     let (epoch, number, stamp_ns) = (1, u64::MAX, u64::MAX);
     let wrenches = vec![[0.0; 6]; model.wrenches().len()];
-    let (refused, bodies) = (None, BTreeMap::new());
+    let (refused, bodies, claims) = (None, BTreeMap::new(), 0);
     written(&WireSample {
         epoch,
         number,
@@ -259,6 +284,7 @@ fn of_another_start(model: &Model) -> (String, Vec<u8>) {
         braked: false,
         refused,
         bodies,
+        claims,
     })
 }
 
@@ -287,6 +313,28 @@ fn what_strangers_send_on_its_key_does_not_end_a_driver() {
         }
     };
     assert_eq!(lost, DriverError::Restarted { driver: "sim/arm".into() });
+}
+
+#[test]
+fn targets_of_another_version_are_refused_with_the_reason() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Realtime);
+    let (tell, told) = std::sync::mpsc::channel();
+    let Keys { sample, targets: key, .. } = Keys::of("sim", "arm").unwrap();
+    let reader = network.guarding.control_reader(sample, move |message| {
+        let sample: WireSample = read(&message.encoding, &message.payload).unwrap();
+        sample.refused.into_iter().for_each(|refused| drop(tell.send(refused)));
+    });
+    let _reader = network.threads.block_on(reader).unwrap();
+    let other = WireTargets::SCHEMA.encoding().replace(";v1", ";v2");
+    let reason = loop {
+        network.threads.block_on(network.guarding.put(&key, &other, written(&targets("a", 1)).1)).unwrap();
+        // The link may not know the driver yet.
+        if let Ok(reason) = told.recv_timeout(std::time::Duration::from_millis(100)) {
+            break reason;
+        }
+    };
+    assert!(reason.contains("the payload is version 2 of `drive/targets`"), "{reason}");
 }
 
 #[test]

@@ -30,6 +30,9 @@ pub(super) struct Description {
     /// The names of the bodies whose poses it tells now and then, if it does.
     #[serde(default)]
     pub(super) bodies: Vec<String>,
+    /// How often it has been claimed; in the answer to a claim, its number.
+    #[serde(default)]
+    pub(super) claims: u64,
 }
 
 /// A sample of a driver.
@@ -56,6 +59,9 @@ pub(super) struct WireSample {
     /// Poses of bodies by their names, in the frame in which the odometry began.
     #[serde(default)]
     pub(super) bodies: BTreeMap<String, WirePose>,
+    /// How often the driver has been claimed.
+    #[serde(default)]
+    pub(super) claims: u64,
 }
 
 /// The targets that follow from a sample.

@@ -194,6 +194,8 @@ impl Guard {
         self.find_faults(&mut table, stamp_ns);
         self.take_commands(&table);
         drop(table);
+        // Before the rest is computed: skills of other threads begin with it meanwhile.
+        self.publish(stamp_ns);
         self.arms.yield_into(&self.sensors, &self.kinematics, &self.config, &mut self.desired);
         let Self { bounds, clearance, kinematics, desired, targets, .. } = self;
         clearance.update(kinematics, &targets.position);
@@ -203,7 +205,6 @@ impl Guard {
             roll_only(platform, &targets.position, &mut targets.velocity);
         }
         self.integrate(dt);
-        self.publish(stamp_ns);
         self.braked = false;
         &self.targets
     }

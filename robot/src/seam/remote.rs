@@ -164,6 +164,18 @@ impl RemoteRobot {
         Ok(Self { shared, _token: alive, _states: states, watching })
     }
 
+    /// The key of this process's liveliness token.
+    #[cfg(test)]
+    pub(super) fn token(&self) -> &str {
+        &self.shared.token
+    }
+
+    /// What the newest state says of leases.
+    #[cfg(test)]
+    pub(super) fn faults(&self) -> BTreeMap<u64, Fault> {
+        self.shared.faults.lock().clone()
+    }
+
     /// Which start of its guard it is.
     #[cfg(test)]
     pub(super) fn epoch(&self) -> u64 {

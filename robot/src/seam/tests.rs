@@ -9,7 +9,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, timeout};
 
 use super::served::secret;
-use super::wire::{Keys, LeaseQuestion, LeaseRefused, RobotState};
+use super::wire::{Keys, LeaseQuestion, LeaseRefused, Leased, RobotCommand, RobotState};
 use crate::driver::{DriverClock, DriverError, GuardedDriver};
 use crate::message::{read, written};
 use crate::planning::KnownBox;
@@ -337,4 +337,62 @@ async fn somebody_else_changes_the_speed_while_an_arm_moves() {
     for wrong in [0.0, -0.1, 1.1, f64::NAN] {
         assert!(other.set_speed_scale(wrong).is_err());
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 3)]
+async fn commands_that_are_old_foreign_or_not_understood_move_nothing() {
+    let mut far = Stepped::new().await;
+    let session = linked(&far.session).await;
+    let robot = connect(&session, &far.model).await;
+    far.seen_by(&robot).await;
+    let (arm, n) = (far.arm(), far.model.limb(&far.arm()).len());
+    let keys = Keys::of("lab", "arm").unwrap();
+    let question = LeaseQuestion {
+        limbs: vec![arm.clone()],
+        holder: "by hand".into(),
+        force_n: None,
+        speed_m_s: None,
+        touches: Vec::new(),
+        token: robot.token().into(),
+    };
+    let (encoding, payload) = written(&question);
+    let asked = session.query_one(&keys.lease, "", Some((&encoding, payload))).await.unwrap();
+    let Reply::Message(answer) = asked else { panic!("{asked:?}") };
+    let Leased { lease, number } = read(&answer.encoding, &answer.payload).unwrap();
+    let command = |lease: &str, number, speed| {
+        written(&RobotCommand { lease: lease.to_owned(), number, velocity: vec![speed; n] })
+    };
+    let (version, moving) = command(&lease, 100, 0.1);
+    let cases = [
+        command("a guess", 100, 0.1),
+        command(&number.to_string(), 100, 0.1),
+        command(&lease, 7, 0.1),
+        command(&lease, 6, 0.1),
+        (version.replace(";v1", ";v2"), moving),
+        (version.clone(), vec![0xff]),
+    ];
+    let put = async |(encoding, payload): (String, Vec<u8>)| {
+        session.put(&keys.command, &encoding, payload).await.unwrap();
+    };
+    put(command(&lease, 7, 0.0)).await;
+    for wrong in cases {
+        put(wrong).await;
+        for _ in 0..20 {
+            far.seen_by(&robot).await;
+        }
+        let fastest = far.joints.sample().velocity.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+        assert!(fastest < 1e-3, "{fastest}");
+    }
+    // What is nonsense takes the limb from him, and the reason is told with the states.
+    put(command(&lease, 8, f64::NAN)).await;
+    let fault = timeout(Duration::from_secs(5), async {
+        loop {
+            far.seen_by(&robot).await;
+            if let Some(fault) = robot.faults().get(&number) {
+                return fault.clone();
+            }
+        }
+    });
+    let fault = fault.await.unwrap();
+    assert!(matches!(fault, Fault::NotFinite { .. }), "{fault:?}");
 }
