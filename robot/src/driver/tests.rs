@@ -9,7 +9,9 @@ use tokio::runtime::{Builder, Runtime};
 
 use super::gate::{Gate, Refused};
 use super::wire::{Claim, Keys, WireSample, WireTargets};
-use super::{Driver, DriverClock, DriverError, DriverServer, DryDriver, GuardedDriver, RemoteDriver};
+use super::{
+    Driver, DriverClock, DriverError, DriverServer, DryDriver, GuardedDriver, RemoteDriver, TimedSample,
+};
 use crate::message::{read, written};
 use crate::{
     Fault, Guard, GuardConfig, JointTargets, Lease, LeaseError, LeaseLimits, Model, Robot, ServoDriver,
@@ -188,6 +190,48 @@ fn a_guard_begins_again_where_the_joints_have_braked() {
     assert!((0.005..0.1).contains(&way), "it goes on from there: {way}");
 }
 
+/// A driver whose first samples say that it is braked.
+struct BrakedAtFirst(ServoDriver, u64);
+
+impl Driver for BrakedAtFirst {
+    fn clock(&self) -> DriverClock {
+        self.0.clock()
+    }
+    fn period(&self) -> std::time::Duration {
+        self.0.period()
+    }
+    fn sample(&mut self) -> Result<TimedSample, DriverError> {
+        let timed = self.0.sample()?;
+        Ok(TimedSample { braked: timed.stamp_ns <= self.1 * MS, ..timed })
+    }
+    fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
+        self.0.apply(targets)
+    }
+    fn brake(&mut self) {
+        self.0.brake();
+    }
+}
+
+#[test]
+fn skills_begin_when_a_driver_has_taken_its_first_targets() {
+    let model = model("pillar7");
+    for (braked_ms, begins_ms) in [(0, 1), (4, 5), (1000, 101)] {
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+        let joints = ServoDriver::new(&model, model.start(), DriverClock::Lockstep);
+        let mut guarded = GuardedDriver::new(guard, BrakedAtFirst(joints, braked_ms));
+        let begins = (1..200).find(|_| {
+            guarded.step().unwrap();
+            robot.sensed().borrow().stamp_ns > 0
+        });
+        assert_eq!(begins, Some(begins_ms));
+        let arm = model.arms().next().unwrap();
+        let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+        lease.command(&vec![0.1; arm.joints.len()]).unwrap();
+        guarded.step().unwrap();
+        assert_eq!(lease.fault().is_some(), braked_ms == 1000, "{:?}", lease.fault());
+    }
+}
+
 #[test]
 fn a_guard_that_was_silent_for_too_long_learns_that_another_one_has_the_driver() {
     let (network, model) = (Network::new(), model("pillar7"));
@@ -347,11 +391,11 @@ fn a_clock_that_goes_back_ends_a_driver_with_the_reason() {
         fn period(&self) -> std::time::Duration {
             self.0.period()
         }
-        fn sample(&mut self) -> Result<super::TimedSample, DriverError> {
+        fn sample(&mut self) -> Result<TimedSample, DriverError> {
             self.1 += 1;
             let timed = self.0.sample()?;
             let stamp_ns = if self.1 > 5 { 7 } else { timed.stamp_ns };
-            Ok(super::TimedSample { stamp_ns, ..timed })
+            Ok(TimedSample { stamp_ns, ..timed })
         }
         fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
             self.0.apply(targets)
