@@ -96,7 +96,11 @@ impl RobotService {
         loop {
             match RemoteDriver::connect(session, (agent, name), &self.model, &self.offered.agent).await {
                 Ok(driver) => return Ok(driver),
-                Err(error @ (DriverError::Session { .. } | DriverError::Refused { .. })) => {
+                Err(
+                    error @ (DriverError::Session { .. }
+                    | DriverError::Refused { .. }
+                    | DriverError::Restarted { .. }),
+                ) => {
                     if said.as_ref() != Some(&error) {
                         console.note(&format!("waiting: {error}"));
                         said = Some(error);
