@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use armarium_bus::{Access, KeyError, SessionError};
 use armarium_host::{Address, Connection, Console, HostError, RobotService};
@@ -32,6 +33,9 @@ pub(crate) struct ServeArgs {
     /// Multiply all commanded velocities; `armarium robot scale` changes it.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     speed_scale: f64,
+    /// Do everything but send targets to the driver: nothing moves.
+    #[arg(long)]
+    dry: bool,
     /// A peer that may see the robot's states; may be repeated. As soon as any peer is named, all others are denied everything.
     #[arg(long = "watcher", value_name = "NAME", requires = "ca")]
     watchers: Vec<String>,
@@ -109,8 +113,8 @@ pub(crate) fn serve(args: &ServeArgs, out: &mut dyn Write) -> io::Result<u8> {
         Ok(connection) => connection,
         Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
     };
-    let (driver, speed_scale) = (args.driver.clone(), args.speed_scale);
-    let service = RobotService { driver, offered, model, speed_scale };
+    let (driver, speed_scale, dry) = (args.driver.clone(), args.speed_scale, args.dry);
+    let service = RobotService { driver, offered, model, speed_scale, dry };
     let console: Arc<dyn Console> = Arc::new(Terminal::for_notes(false));
     let served = connection.runtime().block_on(async {
         for endpoint in connection.session().endpoints().await {
@@ -197,10 +201,16 @@ fn check(
     let clock = driver.clock();
     let (guard, robot) = Guard::new(Arc::clone(model), GuardConfig::of(model));
     let robot: Arc<dyn Robot> = robot;
+    let ends = Arc::new(AtomicBool::new(false));
+    let ended = Arc::clone(&ends);
     let judged = async {
-        // It ends with the program.
-        tokio::spawn(GuardedDriver::new(guard, driver).run(|_, _| true));
-        judge(&robot, limbs, out).await
+        let guarding =
+            tokio::spawn(GuardedDriver::new(guard, driver).run(move |_, _| !ended.load(Ordering::Relaxed)));
+        let judged = judge(&robot, limbs, out).await;
+        // The driver brakes and is given back. If it was lost, the judgement says so.
+        ends.store(true, Ordering::Relaxed);
+        let _ = guarding.await;
+        judged
     };
     match clock {
         DriverClock::Realtime => Ok(threads.block_on(judged)),

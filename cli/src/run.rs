@@ -67,6 +67,9 @@ pub(crate) struct RunArgs {
     /// what the agent knows.
     #[arg(long, value_name = "AGENT/NAME")]
     pub(crate) driver: Option<Address>,
+    /// Do everything but send targets to the driver: nothing moves.
+    #[arg(long, requires = "driver")]
+    pub(crate) dry: bool,
     /// Use the robot behind the guard of another process (`armarium robot serve`) instead of the simulated one.
     #[arg(long, value_name = "AGENT/NAME", conflicts_with = "driver")]
     pub(crate) robot_at: Option<Address>,
@@ -149,7 +152,11 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         real_time: args.speed == Speed::RealTime,
         name: args.name.clone(),
         cameras: args.cameras.clone(),
-        robot_at: (args.driver.clone().map(RobotAt::Driver)).or(args.robot_at.clone().map(RobotAt::Guard)),
+        robot_at: args
+            .driver
+            .clone()
+            .map(if args.dry { RobotAt::DryDriver } else { RobotAt::Driver })
+            .or(args.robot_at.clone().map(RobotAt::Guard)),
         speed_scale: args.speed_scale,
         session,
         program: std::env::current_exe().ok(),

@@ -6,7 +6,8 @@
 
 The robot is that of the robot file, with the URDF's masses, limits and efforts. Every joint has a position servo; weight and
 Coriolis forces are compensated, as robots do, and the wrist sensors feel what is beyond them. There is a table, and if asked for a
-soft tool under a palm. Charts and skills know nothing of all that.
+soft tool under a palm; or the table and the objects of a world file, and where these are is told to Armarium's cameras. Charts and
+skills know nothing of all that.
 
 Not here: platforms, contacts of the robot with itself (Armarium's guard keeps its bodies apart), DAE meshes.
 """
@@ -33,19 +34,22 @@ NOISE_N, NOISE_NM = 0.05, 0.002  # of the wrist sensors; a reading that repeats 
 # The tool: pads on springs under the palm, so that it lies on a tilted table.
 TOOL_SIZE, TOOL_STIFFNESS, TOOL_MASS, TOOL_TRAVEL = (0.04, 0.10, 0.07), 2000.0, 0.15, 0.02
 PADS = (3, 2)
-# Whom a shape touches: the robot what is around it, and not itself.
-ROBOT, AROUND = (1, 2), (2, 1)
+# Whom a shape touches: the robot what is around it, and not itself; objects touch everything.
+ROBOT, AROUND, LOOSE = (1, 2), (2, 1), (3, 3)
+OBJECT_FRICTION = 0.8
+OBJECT_S = 0.01  # time constant of contacts of objects
+TOLD_EVERY = 10  # samples, of which one tells where objects are
 
-UNITS = {"": 1.0, "rad": 1.0, "m": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2}
+UNITS = {"": 1.0, "rad": 1.0, "m": 1.0, "deg": math.pi / 180, "mm": 1e-3, "cm": 1e-2, "kg": 1.0, "g": 1e-3}
 
 
 def number(value: Any) -> float:
-    """A number of a robot file: `0.3`, `80 deg`, `0.05 m`."""
+    """A number of a robot or world file: `0.3`, `80 deg`, `0.05 m`."""
     if isinstance(value, (int, float)):
         return float(value)
     found = re.fullmatch(r"\s*([-+0-9.eE]+)\s*([a-z]*)\s*", str(value))
     if found is None or found[2] not in UNITS:
-        raise SystemExit(f"`{value}` is no angle or length")
+        raise SystemExit(f"`{value}` is no angle, length or mass")
     return float(found[1]) * UNITS[found[2]]
 
 
@@ -107,19 +111,54 @@ def specified(robot: RobotFile, world: argparse.Namespace) -> mujoco.MjSpec:
         for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
             spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
     add_table(spec, world)
+    for thing in world.objects:
+        add_object(spec, world, thing)
+    if world.objects:
+        # What is held by friction does not creep.
+        spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
     if world.sponge:
         add_tool(spec, *robot.tool_frame(world.sponge), friction=world.friction)
     return spec
 
 
+def tilted(world: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
+    """How the table is turned, and its normal."""
+    roll, pitch = (math.radians(angle) for angle in world.tilt)
+    turn, normal = np.zeros(4), np.zeros(3)
+    mujoco.mju_euler2Quat(turn, [roll, pitch, 0.0], "XYZ")
+    mujoco.mju_rotVecQuat(normal, [0.0, 0.0, 1.0], turn)
+    return turn, normal
+
+
+def add_object(spec: mujoco.MjSpec, world: argparse.Namespace, thing: dict[str, Any]) -> None:
+    """A loose box of a world file on the table; what is left out is that of the file's default."""
+    turn, normal = tilted(world)
+    size = np.array([number(edge) for edge in thing.get("size", [0.10, 0.07, 0.04])])
+    x, y = (number(value) for value in thing.get("at", [0.35, 0.50]))
+    dx, dy = x - world.center[0], y - world.center[1]
+    surface = np.array([x, y, world.height - (normal[0] * dx + normal[1] * dy) / normal[2]])
+    yaw, pose = np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(yaw, [0.0, 0.0, 1.0], math.radians(number(thing.get("yaw_deg", 20.0))))
+    mujoco.mju_mulQuat(pose, turn, yaw)
+    body = spec.worldbody.add_body(name=thing["name"], pos=surface + normal * size[2] / 2, quat=pose)
+    body.add_freejoint()
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=size / 2,
+        mass=number(thing.get("mass", 0.15)),
+        friction=[OBJECT_FRICTION, 0.005, 0.0001],
+        condim=4,
+        priority=1,
+        solref=[OBJECT_S, 1.0],
+        contype=LOOSE[0],
+        conaffinity=LOOSE[1],
+    )
+
+
 def add_table(spec: mujoco.MjSpec, world: argparse.Namespace) -> None:
     """A table whose top is at a height in its middle, tilted about x and y."""
-    roll, pitch = (math.radians(angle) for angle in world.tilt)
     thick = 0.02
-    turn = np.zeros(4)
-    mujoco.mju_euler2Quat(turn, [roll, pitch, 0.0], "XYZ")
-    normal = np.zeros(3)
-    mujoco.mju_rotVecQuat(normal, [0.0, 0.0, 1.0], turn)
+    turn, normal = tilted(world)
     middle = np.array([*world.center, world.height]) - normal * thick / 2
     spec.worldbody.add_geom(
         name="table",
@@ -172,6 +211,7 @@ class MujocoRobot(armarium.Driver):
             wrenches=list(robot.wrenches),
             rate_hz=1.0 / STEP_S,
             clock=world.clock,
+            bodies=[thing["name"] for thing in world.objects],
         )
         self.model = specified(robot, world).compile()
         self.data = mujoco.MjData(self.model)
@@ -187,6 +227,7 @@ class MujocoRobot(armarium.Driver):
         self.holds = True
         self._command(self.held, np.zeros(len(self.held)))
         self.truth = world.truth.open("w") if world.truth else None
+        self.samples = 0
 
     def _tune(self) -> None:
         """Servos with one bandwidth, by the inertia that each joint moves in the posture of the start."""
@@ -224,7 +265,14 @@ class MujocoRobot(armarium.Driver):
         felt = -self.data.sensordata.reshape(-1, 6)
         noise = self.random.normal(0.0, [NOISE_N] * 3 + [NOISE_NM] * 3, felt.shape)
         stamp_ns = round(self.data.time * 1e9)
-        return armarium.Sample(stamp_ns, self.data.qpos[self.at], self.data.qvel[self.dof], felt + noise)
+        told = {name: self.pose(name) for name in self.bodies} if self.samples % TOLD_EVERY == 0 else {}
+        self.samples += 1
+        return armarium.Sample(stamp_ns, self.data.qpos[self.at], self.data.qvel[self.dof], felt + noise, told)
+
+    def pose(self, body: str) -> tuple[list[float], list[float]]:
+        """Where a body is in the world, in whose origin the robot stands."""
+        placed = self.data.body(body)
+        return placed.xpos.tolist(), np.roll(placed.xquat, -1).tolist()
 
     def apply(self, targets: armarium.Targets) -> None:
         self.holds = False
@@ -246,6 +294,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="tcp/127.0.0.1:7447")
     parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT")
     parser.add_argument("--clock", choices=["lockstep", "realtime"], default="lockstep")
+    parser.add_argument("--world", type=Path, metavar="FILE", help="a world file, for its table and its objects")
     parser.add_argument("--sponge", metavar="ARM", help="puts a soft tool under the palm of an arm")
     parser.add_argument("--height", type=float, default=0.95, help="of the table's top in its middle, m")
     parser.add_argument("--center", type=float, nargs=2, default=[0.25, 0.60], help="of the table, m")
@@ -254,7 +303,17 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--friction", type=float, default=0.5)
     parser.add_argument("--truth", type=Path, metavar="FILE", help="writes time (s) and force on the table (N) of each step")
     parser.add_argument("--seed", type=int, default=1, help="of the sensors' noise")
-    return parser.parse_args()
+    given = parser.parse_args()
+    given.objects = []
+    if given.world:
+        placed = yaml.safe_load(given.world.read_text())
+        table, given.objects = placed.get("table", {}), placed.get("objects", [{"name": "sponge"}])
+        given.height = number(table.get("height", 0.95))
+        given.center = [number(value) for value in table.get("center", [0.25, 0.60])]
+        given.size = [number(value) for value in table.get("size", [1.0, 0.7])]
+        given.tilt = [number(value) for value in table.get("tilt_deg", [1.0, -1.5])]
+        given.friction = number(table.get("friction", 0.5))
+    return given
 
 
 def main() -> None:
@@ -263,8 +322,17 @@ def main() -> None:
     driver = MujocoRobot(robot, world)
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, lambda *_: driver.stop())
-    ready = f"{driver.agent}/{driver.name} is ready"
-    driver.serve(listen=world.listen, connect=world.connect, ready=lambda: print(ready, flush=True))
+
+    def tell() -> None:
+        for name in driver.bodies:
+            print(f"{name} is at", *(f"{value:.4f}" for value in driver.pose(name)[0]), flush=True)
+
+    def ready() -> None:
+        print(f"{driver.agent}/{driver.name} is ready", flush=True)
+        tell()
+
+    driver.serve(listen=world.listen, connect=world.connect, ready=ready)
+    tell()
     if driver.truth is not None:
         driver.truth.close()
 

@@ -10,47 +10,23 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import socket
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from driven import HERE, run
 
-HERE = Path(__file__).resolve().parent
-ROBOT = HERE.parent.parent / "robots" / "armar3" / "robot.yaml"
-TIMEOUT_S = 900.0  # of the whole run
 FORCE_N, RMS_N, LOST_N = 8.0, 1.5, 0.2  # what is wanted, how far off it may be, and what counts as lost contact
-
-
-def free_endpoint() -> str:
-    with socket.socket() as tried:
-        tried.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{tried.getsockname()[1]}"
 
 
 def wipe(armarium: Path, store: Path, folder: Path, around: list[str]) -> tuple[list[dict], np.ndarray]:
     """Runs the chart. Returns its trace, and time and force of each step."""
-    endpoint, truth = free_endpoint(), folder / "truth.csv"
+    truth = folder / "truth.csv"
     shutil.copy(store, folder / "store.redb")
-    drive = [sys.executable, HERE / "drive.py", ROBOT, "--listen", endpoint, "--sponge", "right_arm", "--truth", truth]
-    driver = subprocess.Popen([*drive, *around], stdout=subprocess.PIPE, text=True)
-    try:
-        assert driver.stdout is not None
-        if "is ready" not in driver.stdout.readline():
-            raise SystemExit("the driver cannot be started")
-        command = [armarium.resolve(), "run", HERE / "wipe.yaml", "--driver", "mujoco/armar3", "--connect", endpoint]
-        options = ["--json", "--store", folder / "store.redb", "--report", folder / "report"]
-        ended = subprocess.run(
-            [*command, *options], capture_output=True, text=True, check=False, timeout=TIMEOUT_S
-        )
-    finally:
-        driver.terminate()
-        driver.wait()
-    if ended.returncode != 0:
-        raise SystemExit(f"the run failed: {ended.stdout[-2000:]}\n{ended.stderr[-2000:]}")
-    trace = [json.loads(line) for line in (ended.stdout + ended.stderr).splitlines() if line.startswith("{")]
+    drive = ["--sponge", "right_arm", "--truth", truth, *around]
+    options = ["--json", "--store", folder / "store.redb", "--report", folder / "report"]
+    said, _ = run(armarium, drive, HERE / "wipe.yaml", options)
+    trace = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
     return trace, np.loadtxt(truth, delimiter=",")
 
 

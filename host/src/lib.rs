@@ -42,6 +42,7 @@ mod run_log;
 mod side_tasks;
 pub mod simulated;
 pub mod sweep;
+mod told_scene;
 mod world_file;
 
 pub use address::{Address, AddressError};

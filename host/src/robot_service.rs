@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_robot::driver::{DriverError, GuardedDriver, RemoteDriver};
-use armarium_robot::{Guard, GuardConfig, Model, Robot as _, RobotServer};
+use armarium_robot::driver::{DriverError, DryDriver, GuardedDriver, RemoteDriver};
+use armarium_robot::{Guard, GuardConfig, GuardedRobot, Model, Robot, RobotServer};
 
 use crate::address::Address;
 use crate::console::Console;
@@ -28,6 +28,8 @@ pub struct RobotService {
     pub model: Arc<Model>,
     /// All commanded velocities are multiplied by this, until somebody sets another scale.
     pub speed_scale: f64,
+    /// Whether no targets are sent: nothing moves.
+    pub dry: bool,
 }
 
 /// Ends a guard's thread when whoever waits for it is dropped.
@@ -40,20 +42,27 @@ impl Drop for EndOnDrop {
 }
 
 impl RobotService {
-    /// Serves until this is dropped, in real time on a multi-threaded runtime.
+    /// Serves until this is dropped, in real time on a multi-threaded runtime. While there is no driver, leases are refused with the
+    /// reason.
     ///
     /// # Errors
     /// [`HostError`] when the driver is of another robot, or the session has closed.
     pub async fn serve(&self, session: &Session, console: &Arc<dyn Console>) -> Result<(), HostError> {
+        let Address { agent, name } = &self.offered;
+        let mut speed_scale = self.speed_scale;
+        let (mut guard, robot) = self.guarded(speed_scale)?;
+        guard.end(&format!("its driver `{}/{}` has not been found yet", self.driver.agent, self.driver.name));
+        let mut server = RobotServer::start(session, (agent, name), robot).await?;
         loop {
             let driver = self.find(session, &**console).await?;
-            let (guard, robot) = Guard::new(Arc::clone(&self.model), GuardConfig::of(&self.model));
-            robot.set_speed_scale(self.speed_scale)?;
-            let Address { agent, name } = &self.offered;
-            let _server = RobotServer::start(session, (agent, name), robot).await?;
+            let (guard, robot) = self.guarded(speed_scale)?;
+            drop(server);
+            let shared: Arc<dyn Robot> = Arc::<GuardedRobot>::clone(&robot);
+            server = RobotServer::start(session, (agent, name), shared).await?;
             console.note(&format!(
-                "{agent}/{name}: the robot `{}`, driven by {}",
+                "{agent}/{name}: the robot `{}`, {} by {}",
                 self.model.name(),
+                if self.dry { "sensed and not driven" } else { "driven" },
                 driver.name()
             ));
             let ends = Arc::new(AtomicBool::new(false));
@@ -62,10 +71,23 @@ impl RobotService {
                 said.iter().for_each(|said| heard.note(&format!("the robot says: {said}")));
                 !ends.load(Ordering::Relaxed)
             };
-            if let Err(error) = GuardedDriver::new(guard, driver).run(after).await {
+            let guarded = match self.dry {
+                false => GuardedDriver::new(guard, driver),
+                true => GuardedDriver::new(guard, DryDriver::new(driver)),
+            };
+            if let Err(error) = guarded.run(after).await {
                 console.note(&format!("warning: {error}"));
             }
+            server.last_state_sent().await;
+            speed_scale = robot.speed_scale();
         }
+    }
+
+    /// A guard without a driver yet, and the robot above it.
+    fn guarded(&self, speed_scale: f64) -> Result<(Guard, Arc<GuardedRobot>), HostError> {
+        let (guard, robot) = Guard::new(Arc::clone(&self.model), GuardConfig::of(&self.model));
+        robot.set_speed_scale(speed_scale)?;
+        Ok((guard, robot))
     }
 
     /// The driver, as soon as it is there and free.
@@ -74,7 +96,11 @@ impl RobotService {
         loop {
             match RemoteDriver::connect(session, (agent, name), &self.model, &self.offered.agent).await {
                 Ok(driver) => return Ok(driver),
-                Err(error @ (DriverError::Session { .. } | DriverError::Refused { .. })) => {
+                Err(
+                    error @ (DriverError::Session { .. }
+                    | DriverError::Refused { .. }
+                    | DriverError::Restarted { .. }),
+                ) => {
                     if said.as_ref() != Some(&error) {
                         console.note(&format!("waiting: {error}"));
                         said = Some(error);

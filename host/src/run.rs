@@ -106,7 +106,7 @@ async fn perform(
     console: &Arc<dyn Console>,
     began: Instant,
 ) -> Result<RunEnded, HostError> {
-    let (stage, mover) = Stage::set(config, &world.world, network, outside).await?;
+    let (stage, mover) = Stage::set(config, &world.world, network, outside, &**console).await?;
     let equipment = &stage.robot.equipment;
     let (program, registry) = load(config, equipment, &world.world, network, &**console).await?;
     network.explain_events(&program, &**console);
@@ -217,6 +217,7 @@ impl Stage {
         world: &World,
         network: &Network,
         outside: Option<Outside>,
+        console: &dyn Console,
     ) -> Result<(Self, Mover), HostError> {
         let recorder = SharedRecorder::default();
         let digest = RunDigest::default();
@@ -233,7 +234,8 @@ impl Stage {
         let (seed, known) = (config.seed, memory.memory());
         let (mut robot, mover) = match outside {
             Some(outside) => {
-                let (robot, mover) = outside.stage(world, seed, known, config.speed_scale)?;
+                let (robot, mover) =
+                    outside.stage(world, seed, known, config.speed_scale, (&digest, console))?;
                 (robot, Mover::Outside(mover))
             }
             None => {

@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import cbor2
@@ -19,6 +19,10 @@ from .gate import WATCHDOG_S, Gate, Refused, Targets
 
 AGAIN_S = 0.1
 """A driver in lockstep that hears nothing sends its sample again so often, s."""
+
+
+Pose = tuple[Sequence[float], Sequence[float]]
+"""A position (m) and a unit quaternion x, y, z, w."""
 
 
 @dataclass
@@ -33,6 +37,9 @@ class Sample:
     """rad/s (m/s)"""
     wrenches: Sequence[Sequence[float]] = ()
     """For each sensor force (N) and torque (N m) that the hand exerts on it, in the sensor's frame, about its origin."""
+    bodies: Mapping[str, Pose] = field(default_factory=dict)
+    """Where bodies are, by their names, in the frame in which the odometry began. A simulation tells it, for cameras that draw
+    its scene, about as often as they take pictures; other samples have none."""
 
 
 class Driver:
@@ -51,13 +58,14 @@ class Driver:
         wrenches: Sequence[str] = (),
         rate_hz: float = 1000.0,
         clock: Literal["lockstep", "realtime"] = "realtime",
+        bodies: Sequence[str] = (),
     ) -> None:
         if clock not in ("lockstep", "realtime"):
             raise ValueError(f"clock is lockstep or realtime, not {clock!r}")
         if not 1.0 <= rate_hz <= 10_000.0:
             raise ValueError(f"rate_hz is 1 to 10000, not {rate_hz}")
         self.agent, self.name = agent, name
-        self.joints, self.wrenches = list(joints), list(wrenches)
+        self.joints, self.wrenches, self.bodies = list(joints), list(wrenches), list(bodies)
         self.rate_hz, self.clock = float(rate_hz), clock
         self._stopped = threading.Event()
 
@@ -128,6 +136,7 @@ class _Served:
             "clock": driver.clock,
             "epoch": self.epoch,
             "watchdog_s": WATCHDOG_S,
+            "bodies": driver.bodies,
         }
         key = f"{driver.agent}/drive/{driver.name}"
         self.publisher = session.declare_publisher(
@@ -158,7 +167,8 @@ class _Served:
             try:
                 if query.payload is not None and len(query.payload.to_bytes()) > 0:
                     self._claimed(query)
-                query.reply(query.key_expr, cbor2.dumps(self.description), encoding=_schema("description"))
+                described = self.description | {"claims": self.gate.claims}
+                query.reply(query.key_expr, cbor2.dumps(described), encoding=_schema("description"))
             except Refused as why:
                 query.reply_err(cbor2.dumps({"reason": str(why)}), encoding=_schema("refusal"))
 
@@ -170,7 +180,7 @@ class _Served:
                 self.gate.release(str(asked.get("commander")))
             else:
                 caller = str(asked.get("caller") or "somebody")
-                self.gate.claim(str(asked.get("commander")), caller, time.monotonic())
+                self.gate.claim(str(asked.get("commander") or ""), caller, time.monotonic())
 
     def drive(self, stopped: threading.Event) -> None:
         """Sends samples and applies what comes, until stopped."""
@@ -210,6 +220,7 @@ class _Served:
 
     def _sample(self, number: int, braked: bool, refused: str | None) -> bytes:
         sample = self.driver.sample()
+        self._check(sample)
         return cbor2.dumps(
             {
                 "epoch": self.epoch,
@@ -220,8 +231,32 @@ class _Served:
                 "wrenches": [[float(value) for value in wrench] for wrench in sample.wrenches],
                 "braked": braked,
                 "refused": refused,
+                "claims": self.gate.claims,
+                "bodies": {name: _pose(pose) for name, pose in sample.bodies.items()},
             }
         )
+
+
+    def _check(self, sample: Sample) -> None:
+        """A sample of other joints or sensors than were described is an error of the program that gives it."""
+        joints, sensors = len(self.driver.joints), len(self.driver.wrenches)
+        for what, got, expected in (
+            ("positions", len(sample.position), joints),
+            ("velocities", len(sample.velocity), joints),
+            ("wrenches", len(sample.wrenches), sensors),
+        ):
+            if got != expected:
+                raise ValueError(f"a sample with {got} {what}; the driver has described {expected}")
+        for name, wrench in zip(self.driver.wrenches, sample.wrenches, strict=True):
+            if len(wrench) != 6:
+                raise ValueError(f"the wrench of `{name}` has {len(wrench)} numbers: force and torque are 6")
+
+
+def _pose(pose: Pose) -> list[list[float]]:
+    position, rotation = pose
+    if len(position) != 3 or len(rotation) != 4:
+        raise ValueError("a pose is a position of 3 numbers and a quaternion of 4")
+    return [[float(value) for value in position], [float(value) for value in rotation]]
 
 
 def _read(message: zenoh.Sample | zenoh.Query, name: str) -> dict[str, Any]:

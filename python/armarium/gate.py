@@ -18,6 +18,10 @@ SILENCE_S = 1.0
 """After so long without targets another commander may claim the driver, s."""
 
 
+MAX_NAME = 200
+"""Longest name of a commander or a caller."""
+
+
 class Refused(Exception):
     """Why a claim or targets are refused."""
 
@@ -45,6 +49,7 @@ class Gate:
     def __init__(self, joints: int, realtime: bool, period_s: float, epoch: int) -> None:
         self._joints, self._realtime, self._period_s, self._epoch = joints, realtime, period_s, epoch
         self._commander: _Commander | None = None
+        self.claims = 0
         self._newest = 0
         self._answered = -1
         self._braked_since: int | None = 0 if realtime else None
@@ -62,9 +67,12 @@ class Gate:
 
     def claim(self, commander: str, caller: str, now_s: float) -> None:
         """Somebody asks for the right to send targets."""
+        if not commander or max(len(commander), len(caller)) > MAX_NAME:
+            raise Refused(f"a commander has a name of 1 to {MAX_NAME} bytes, a caller one of at most so many")
         by = self._commander
         if by is not None and by.id != commander and now_s - by.heard_s <= SILENCE_S:
             raise Refused(f"it is commanded by `{by.caller}`")
+        self.claims += 1
         self._commander = _Commander(commander, caller, now_s)
         self._give_up_last()
 

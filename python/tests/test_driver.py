@@ -1,6 +1,7 @@
 """A driver in a session, and a commander in another one that does everything right and wrong."""
 
 import contextlib
+import dataclasses
 import json
 import math
 import queue
@@ -94,7 +95,7 @@ def served(clock):
     with socket.socket() as tried:
         tried.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{tried.getsockname()[1]}"
-    driver, ready = Joints(clock), threading.Event()
+    driver, ready = clock if isinstance(clock, Joints) else Joints(clock), threading.Event()
     thread = threading.Thread(target=driver.serve, kwargs={"listen": [endpoint], "ready": ready.set})
     thread.start()
     try:
@@ -157,7 +158,26 @@ def test_a_second_commander_and_another_version_are_refused():
         commander.name = "test"
         commander.ask("claim", {"commander": "test"}, schema("release"))
         commander.name = "second"
-        assert commander.claim()["joints"] == ["shoulder", "elbow"]
+        described = commander.claim()
+        assert (described["joints"], described["claims"]) == (["shoulder", "elbow"], 2)
+        commander.answer(commander.sample())
+        while (sample := commander.sample())["number"] == 0:
+            pass
+        assert sample["claims"] == 2
+
+
+def test_samples_tell_where_bodies_are():
+    class Kitchen(Joints):
+        def __init__(self):
+            super().__init__("lockstep")
+            self.bodies = ["cup"]
+
+        def sample(self):
+            return dataclasses.replace(super().sample(), bodies={"cup": ([0.1, 0.2, 0.3], [0.0, 0.0, 0.0, 1.0])})
+
+    with served(Kitchen()) as (_, commander):
+        assert commander.claim()["bodies"] == ["cup"]
+        assert commander.sample()["bodies"] == {"cup": [[0.1, 0.2, 0.3], [0.0, 0.0, 0.0, 1.0]]}
 
 
 def test_in_real_time_it_brakes_without_targets():
@@ -175,3 +195,24 @@ def test_in_real_time_it_brakes_without_targets():
             pass
         threading.Event().wait(0.1)
         assert driver.brakes > before, "it goes on braking"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"position": [0.0]}, "1 positions; the driver has described 2"),
+        ({"velocity": [0.0] * 3}, "3 velocities; the driver has described 2"),
+        ({"wrenches": []}, "0 wrenches; the driver has described 1"),
+        ({"wrenches": [[0.0] * 3]}, "the wrench of `wrist` has 3 numbers"),
+        ({"bodies": {"cup": ([0.0], [0.0] * 4)}}, "a pose is a position of 3 numbers"),
+    ],
+)
+def test_a_sample_of_other_joints_than_were_described_ends_the_driver_with_the_reason(change, reason):
+    class Wrong(Joints):
+        def sample(self):
+            return dataclasses.replace(super().sample(), **change)
+
+    driver = Wrong("realtime")
+    with pytest.raises(ValueError, match=reason):
+        driver.serve()
+    assert driver.brakes == 1

@@ -68,6 +68,9 @@ def test_after_it_has_braked_only_who_knows_that_commands(gate):
 def test_a_driver_has_one_commander_until_he_is_silent(gate):
     with pytest.raises(Refused, match="it is commanded by `a`"):
         gate.claim("b", "b", 1.0)
+    for nobody in ("", "x" * 201):
+        with pytest.raises(Refused, match="1 to 200 bytes"):
+            gate.claim(nobody, "b", 5.0)
     gate.claim("a", "a", 1.0)
     gate.claim("b", "b", 2.002)
     assert gate.begin_sample(101, 2.002)[0], "a new commander begins with joints that stand"

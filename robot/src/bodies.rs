@@ -14,6 +14,7 @@ use parry3d_f64::shape::{Cuboid, Cylinder, SharedShape};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
+use crate::boundary::{MAX_NAME, is_box};
 use crate::{Geometry, Joint, JointKind, Kinematics, LinkId, Load, Mesh, Model};
 
 /// Distance that two bodies keep, m.
@@ -98,10 +99,9 @@ pub struct KnownBox {
 }
 
 impl KnownBox {
-    /// Whether its edges have a length, and everything is finite.
+    /// Whether it is one, within 1 km, and its name is no longer than others.
     pub fn is_box(&self) -> bool {
-        self.size.iter().all(|edge| edge.is_finite() && *edge > 0.0)
-            && self.root_from_box.to_homogeneous().iter().all(|c| c.is_finite())
+        is_box(&self.root_from_box, &self.size) && self.name.len() <= MAX_NAME
     }
 }
 

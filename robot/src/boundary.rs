@@ -5,6 +5,13 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
+/// Longest name of a holder, a load, a known box, or of what a lease may touch, bytes.
+pub(crate) const MAX_NAME: usize = 100;
+/// Longest edge or distance of a load or of a known box, m.
+pub(crate) const MAX_M: f64 = 1000.0;
+/// Greatest mass of a load, kg.
+pub(crate) const MAX_KG: f64 = 1000.0;
+
 /// A sample of all the robot's sensors. Joint arrays are in the order of the model's joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensed {
@@ -80,17 +87,21 @@ pub struct LoadShape {
 }
 
 impl Load {
-    /// Whether the mass is not negative and everything is finite.
+    /// Whether its mass is one, its lengths are some that can be held, and its name is no longer than others.
     pub(crate) fn is_physical(&self) -> bool {
-        let is_box = |shape: &LoadShape| {
-            let placed = shape.tcp_from_box.to_homogeneous().iter().all(|c| c.is_finite());
-            placed && shape.size.iter().all(|edge| edge.is_finite() && *edge > 0.0)
-        };
-        self.mass_kg.is_finite()
-            && self.mass_kg >= 0.0
-            && self.center_in_tcp.iter().all(|c| c.is_finite())
-            && self.shape.as_ref().is_none_or(is_box)
+        let is_held = |shape: &LoadShape| is_box(&shape.tcp_from_box, &shape.size);
+        (0.0..=MAX_KG).contains(&self.mass_kg)
+            && self.center_in_tcp.iter().all(|c| c.abs() <= MAX_M)
+            && self.shape.as_ref().is_none_or(is_held)
+            && self.name.len() <= MAX_NAME
     }
+}
+
+/// Whether a pose and edges are of a box somewhere near the robot.
+pub(crate) fn is_box(pose: &Isometry3<f64>, size: &Vector3<f64>) -> bool {
+    let turned = pose.rotation.coords.iter().all(|c| c.is_finite());
+    let near = pose.translation.vector.iter().all(|c| c.abs() <= MAX_M);
+    turned && near && size.iter().all(|edge| *edge > 0.0 && *edge <= MAX_M)
 }
 
 /// Limits that a lease requests; the robot's own limits apply as well.
@@ -206,6 +217,16 @@ pub enum LeaseError {
     /// No limb is named.
     #[error("a lease is of one limb at least")]
     Nothing,
+    /// A name is too long, or there are too many.
+    #[error(
+        "a lease's holder and what it touches have names of at most {bytes} bytes, and it touches {touches} things at most"
+    )]
+    Names {
+        /// Longest name, bytes.
+        bytes: usize,
+        /// Most things that it touches.
+        touches: usize,
+    },
     /// A limit of the lease is negative or no number.
     #[error("a lease's largest {what} cannot be {value}: it is a number from 0 on")]
     Limit {

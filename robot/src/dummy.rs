@@ -5,6 +5,7 @@
 //! millisecond of tokio's clock. There is no table and no object: all forces come from calls of
 //! [`DummyRobot::push`].
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -145,7 +146,7 @@ impl Driver for ServoDriver {
         self.joints.step(&self.targets, &[], 1e-3);
         self.steps += 1;
         let sample = self.joints.sample().clone();
-        Ok(TimedSample { stamp_ns: self.steps * 1_000_000, sample, braked: false })
+        Ok(TimedSample { stamp_ns: self.steps * 1_000_000, sample, braked: false, bodies: BTreeMap::new() })
     }
 
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {

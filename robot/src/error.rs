@@ -1,5 +1,7 @@
 //! Why a part of a robot cannot be used.
 
+use crate::boundary::{MAX_KG, MAX_M, MAX_NAME};
+
 /// A robot lacks something.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -16,7 +18,7 @@ pub enum RobotError {
     },
     /// A load that is not physical.
     #[error(
-        "the load `{name}` of {mass_kg} kg is not physical: mass, centre and shape are finite, the mass is not negative"
+        "the load `{name}` of {mass_kg} kg is not physical: a mass is 0 to {MAX_KG} kg, lengths are at most {MAX_M} m, a name has at most {MAX_NAME} bytes"
     )]
     Load {
         /// What it is.

@@ -32,6 +32,7 @@ pub mod newest;
 pub mod planning;
 mod pose_ik;
 mod seam;
+mod throttled;
 mod wrist;
 
 pub use boundary::{Fault, ForceTorque, LeaseError, LeaseLimits, Load, LoadShape, Sensed, SensedWrench};

@@ -4,6 +4,8 @@
 //! another may claim it. Of his targets those count that answer a recent sample, in the order of the samples. After the joints have
 //! braked by themselves, only targets that were computed by somebody who knows that count.
 
+use armarium_bus::CodecError;
+
 use super::DriverClock;
 use super::wire::{Claim, WireTargets};
 use crate::JointTargets;
@@ -12,6 +14,38 @@ use crate::JointTargets;
 const SILENCE_NS: u64 = 1_000_000_000;
 /// How long a driver waits for targets before it brakes, ns.
 pub(super) const WATCHDOG_NS: u64 = 50_000_000;
+/// Longest name of a commander or a caller, bytes.
+const MAX_NAME: usize = 200;
+
+/// Why a claim or targets are refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum Refused {
+    #[error("it is commanded by `{by}`")]
+    Commanded { by: String },
+    #[error("a commander has a name of 1 to {MAX_NAME} bytes, a caller one of at most so many")]
+    Name,
+    #[error("targets of somebody who has not claimed the driver")]
+    NotClaimed,
+    #[error("targets of somebody else than `{by}`, who has claimed the driver")]
+    Stranger { by: String },
+    #[error("targets for another start of the driver")]
+    Epoch,
+    #[error("targets for the sample {number}, which has not been sent")]
+    Ahead { number: u64 },
+    #[error("targets for the sample {number}, which was answered, or is older than that")]
+    Answered { number: u64 },
+    #[error("targets for a sample that is {age_ms} ms old")]
+    Late { age_ms: u64 },
+    #[error("targets for a sample from before the joints braked")]
+    Braked,
+    #[error("targets with {positions} positions and {velocities} velocities for {joints} joints")]
+    Shape { positions: usize, velocities: usize, joints: usize },
+    #[error("targets that are not finite numbers")]
+    NotFinite,
+    /// Something else than what is expected has come.
+    #[error(transparent)]
+    Message(#[from] CodecError),
+}
 
 #[derive(Debug)]
 struct Commander {
@@ -29,6 +63,8 @@ pub(super) struct Gate {
     period_ns: u64,
     epoch: u64,
     commander: Option<Commander>,
+    /// How often it was claimed.
+    claims: u64,
     /// The number of the newest sample.
     newest: u64,
     /// The number of the last sample that was answered by the commander.
@@ -38,7 +74,7 @@ pub(super) struct Gate {
     /// The targets that were taken and not been fetched yet.
     taken: Option<JointTargets>,
     /// Why targets were refused.
-    refused: Option<String>,
+    refused: Option<Refused>,
 }
 
 impl Gate {
@@ -50,6 +86,7 @@ impl Gate {
             period_ns: period_ns.max(1),
             epoch,
             commander: None,
+            claims: 0,
             newest: 0,
             answered: None,
             braked_since,
@@ -59,7 +96,7 @@ impl Gate {
     }
 
     /// A sample is about to be sent. Returns whether its joints have braked by themselves, and why targets were refused.
-    pub(super) fn begin_sample(&mut self, number: u64, now_ns: u64) -> (bool, Option<String>) {
+    pub(super) fn begin_sample(&mut self, number: u64, now_ns: u64) -> (bool, Option<Refused>) {
         self.newest = number;
         let silent =
             self.commander.as_ref().is_none_or(|by| now_ns.saturating_sub(by.heard_ns) > WATCHDOG_NS);
@@ -75,14 +112,23 @@ impl Gate {
     }
 
     /// Somebody asks for the right to send targets.
-    pub(super) fn claim(&mut self, claim: Claim, now_ns: u64) -> Result<(), String> {
+    pub(super) fn claim(&mut self, claim: Claim, now_ns: u64) -> Result<(), Refused> {
+        if claim.commander.is_empty() || claim.commander.len().max(claim.caller.len()) > MAX_NAME {
+            return Err(Refused::Name);
+        }
         let other = self.commander.as_ref().filter(|by| by.id != claim.commander);
         if let Some(by) = other.filter(|by| now_ns.saturating_sub(by.heard_ns) <= SILENCE_NS) {
-            return Err(format!("it is commanded by `{}`", by.caller));
+            return Err(Refused::Commanded { by: by.caller.clone() });
         }
+        self.claims += 1;
         self.commander = Some(Commander { id: claim.commander, caller: claim.caller, heard_ns: now_ns });
         self.give_up_last();
         Ok(())
+    }
+
+    /// How often it was claimed.
+    pub(super) fn claims(&self) -> u64 {
+        self.claims
     }
 
     /// The commander gives the right back.
@@ -115,7 +161,7 @@ impl Gate {
     }
 
     /// Something else than targets has come in their place.
-    pub(super) fn refuse(&mut self, reason: String) {
+    pub(super) fn refuse(&mut self, reason: Refused) {
         self.refused = Some(reason);
     }
 
@@ -124,47 +170,24 @@ impl Gate {
         self.taken.take()
     }
 
-    fn check(&self, targets: &WireTargets) -> Result<(), String> {
+    fn check(&self, targets: &WireTargets) -> Result<(), Refused> {
         let WireTargets { commander, epoch, number, position, velocity } = targets;
-        match &self.commander {
-            None => return Err("targets of somebody who has not claimed the driver".into()),
-            Some(by) if by.id != *commander => {
-                return Err(format!(
-                    "targets of somebody else than `{}`, who has claimed the driver",
-                    by.caller
-                ));
+        let by = self.commander.as_ref().ok_or(Refused::NotClaimed)?;
+        let (number, joints, age) = (*number, self.joints, self.newest.saturating_sub(*number));
+        let age_ns = age.saturating_mul(self.period_ns);
+        let shape = || Refused::Shape { positions: position.len(), velocities: velocity.len(), joints };
+        match () {
+            () if by.id != *commander => Err(Refused::Stranger { by: by.caller.clone() }),
+            () if *epoch != self.epoch => Err(Refused::Epoch),
+            () if number > self.newest => Err(Refused::Ahead { number }),
+            () if self.answered.is_some_and(|answered| number <= answered) => {
+                Err(Refused::Answered { number })
             }
-            Some(_) => {}
+            () if age_ns > WATCHDOG_NS => Err(Refused::Late { age_ms: age_ns / 1_000_000 }),
+            () if self.braked_since.is_some_and(|since| number < since) => Err(Refused::Braked),
+            () if position.len() != joints || velocity.len() != joints => Err(shape()),
+            () if !position.iter().chain(velocity).all(|value| value.is_finite()) => Err(Refused::NotFinite),
+            () => Ok(()),
         }
-        if *epoch != self.epoch {
-            return Err("targets for another start of the driver".into());
-        }
-        if *number > self.newest {
-            return Err(format!("targets for the sample {number}, which has not been sent"));
-        }
-        if self.answered.is_some_and(|answered| *number <= answered) {
-            return Err(format!(
-                "targets for the sample {number}, which was answered, or is older than that"
-            ));
-        }
-        let age_ns = (self.newest - number).saturating_mul(self.period_ns);
-        if age_ns > WATCHDOG_NS {
-            return Err(format!("targets for a sample that is {} ms old", age_ns / 1_000_000));
-        }
-        if self.braked_since.is_some_and(|since| *number < since) {
-            return Err("targets for a sample from before the joints braked".into());
-        }
-        let n = self.joints;
-        if position.len() != n || velocity.len() != n {
-            return Err(format!(
-                "targets with {} positions and {} velocities for {n} joints",
-                position.len(),
-                velocity.len()
-            ));
-        }
-        if !position.iter().chain(velocity).all(|value| value.is_finite()) {
-            return Err("targets that are not finite numbers".into());
-        }
-        Ok(())
     }
 }

@@ -9,21 +9,26 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::{Driver, DriverClock, DriverError};
-use crate::Guard;
+use crate::{Guard, JointTargets, Sample};
 
 /// A delay that is caught up.
 const MAX_DELAY: Duration = Duration::from_millis(10);
+/// A driver in real time is braked until its first targets have come. Skills begin when it is not, or after so long, ns.
+const BEGINS_WITHIN_NS: u64 = 100_000_000;
 
 /// A guard and the driver below it.
 pub struct GuardedDriver {
     guard: Guard,
     driver: Box<dyn Driver>,
+    /// The stamp of the first sample, until skills begin, ns.
+    waiting_since_ns: Option<u64>,
+    begun: bool,
 }
 
 impl GuardedDriver {
     /// Puts a guard above a driver.
     pub fn new(guard: Guard, driver: impl Driver + 'static) -> Self {
-        Self { guard, driver: Box::new(driver) }
+        Self { guard, driver: Box::new(driver), waiting_since_ns: None, begun: false }
     }
 
     /// Steps the guard until the driver is lost, or `after` says so, which is called with the stamp of each sample, ns, and what
@@ -76,6 +81,14 @@ impl GuardedDriver {
     /// One sample, and its targets.
     pub(super) fn step(&mut self) -> Result<u64, DriverError> {
         let timed = self.driver.sample()?;
+        let since_ns = *self.waiting_since_ns.get_or_insert(timed.stamp_ns);
+        self.begun |= !timed.braked || timed.stamp_ns - since_ns >= BEGINS_WITHIN_NS;
+        if !self.begun {
+            let Sample { position, .. } = timed.sample;
+            let velocity = vec![0.0; position.len()];
+            self.driver.apply(&JointTargets { position, velocity })?;
+            return Ok(timed.stamp_ns);
+        }
         if timed.braked {
             self.guard.drives_have_braked();
         }
@@ -85,10 +98,11 @@ impl GuardedDriver {
     }
 
     fn end(mut self, ended: Result<u64, DriverError>) -> Result<(), DriverError> {
-        self.driver.brake();
         let reason =
             ended.as_ref().err().map_or_else(|| "its driver was left".to_owned(), ToString::to_string);
+        // Skills are told first: a driver that is out of reach is waited for when it is to brake.
         self.guard.end(&reason);
+        self.driver.brake();
         ended.map(drop)
     }
 }

@@ -3,8 +3,10 @@
 //!
 //! - [`GuardedDriver`]: a guard that is stepped with a driver's samples, by the driver's clock.
 //! - [`RemoteDriver`]: a driver in another process, in any language (`docs/wire-robot.md`).
+//! - [`DryDriver`]: one that is sensed and not driven.
 //! - [`DriverServer`]: offers a driver of this process to others.
 
+mod dry;
 mod gate;
 mod guarded;
 mod remote;
@@ -13,10 +15,13 @@ mod served;
 mod tests;
 mod wire;
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use armarium_bus::{CodecError, KeyError, SessionError};
+use nalgebra::Isometry3;
 
+pub use dry::DryDriver;
 pub use guarded::GuardedDriver;
 pub use remote::RemoteDriver;
 pub use served::DriverServer;
@@ -42,6 +47,9 @@ pub struct TimedSample {
     pub sample: Sample,
     /// Whether the joints stand, or brake, because targets had not come in time.
     pub braked: bool,
+    /// Where bodies are, by their names, in the frame in which the odometry began; empty where nothing is told. A simulation tells
+    /// it, for cameras that draw its scene.
+    pub bodies: BTreeMap<String, Isometry3<f64>>,
 }
 
 /// Joints and wrench sensors below a guard, in the order of a robot's model. Its functions may hold up the thread.
@@ -50,6 +58,10 @@ pub trait Driver: Send {
     fn clock(&self) -> DriverClock;
     /// The time from one sample to the next.
     fn period(&self) -> Duration;
+    /// The names of the bodies whose poses come with samples now and then; none where it knows of none.
+    fn bodies(&self) -> Vec<String> {
+        Vec::new()
+    }
     /// Waits for the next sample.
     ///
     /// # Errors
@@ -64,8 +76,44 @@ pub trait Driver: Send {
     fn brake(&mut self);
 }
 
+/// How a driver differs from a robot.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Mismatch {
+    /// It samples too often, or not often enough.
+    #[error("it samples with {hz} Hz; 1 to 10000 are possible")]
+    Rate {
+        /// Samples per second.
+        hz: f64,
+    },
+    /// It has something that the robot does not.
+    #[error("the robot has no {kind} `{name}`; it has {known}")]
+    Unknown {
+        /// Joint or wrench sensor.
+        kind: &'static str,
+        /// The driver's name for it.
+        name: String,
+        /// The robot's, separated by commas.
+        known: String,
+    },
+    /// It has something more than once.
+    #[error("it names a {kind} twice")]
+    Twice {
+        /// Joint or wrench sensor.
+        kind: &'static str,
+    },
+    /// It lacks something.
+    #[error("it does not have the {kind} `{name}`")]
+    Missing {
+        /// Joint or wrench sensor.
+        kind: &'static str,
+        /// The robot's name for it.
+        name: String,
+    },
+}
+
 /// Why a driver cannot be used, or not any more.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriverError {
     /// The network failed, or nobody answered.
@@ -100,7 +148,7 @@ pub enum DriverError {
         /// The robot.
         robot: String,
         /// The difference.
-        what: String,
+        what: Mismatch,
     },
     /// No sample came.
     #[error("the driver `{driver}` has sent no sample for {silent_ms} ms")]

@@ -1,18 +1,21 @@
 //! A driver in another process. It is claimed when it is connected to, and released when this is dropped.
 //!
 //! Of the samples that have come the newest is taken: a guard that is late goes on with what is. A driver in lockstep sends a
-//! sample again when it hears nothing; then the same targets are sent again.
+//! sample again when it hears nothing; then the same targets are sent again. What comes on its key and is no sample of it is passed
+//! over; if nothing else comes, it is the reason why the driver is lost.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::control::{ControlReader, ControlSender};
-use armarium_bus::{Message, Payload, Session, SessionError};
+use armarium_bus::{CodecError, Message, Payload, Session, SessionError};
 use parking_lot::{Condvar, Mutex};
+use tokio::time::Instant;
 
 use super::wire::{Claim, Description, Keys, Release, WireSample, WireTargets, described};
-use super::{Driver, DriverClock, DriverError, TimedSample};
-use crate::message::{read, written};
+use super::{Driver, DriverClock, DriverError, Mismatch, TimedSample};
+use crate::message::{pose, read, written};
+use crate::throttled::Throttled;
 use crate::{ForceTorque, JointTargets, Model, Sample};
 
 /// A driver in real time without a sample for so long is lost.
@@ -42,13 +45,33 @@ pub struct RemoteDriver {
     /// The last targets as they were sent.
     sent: Vec<u8>,
     claimed: bool,
+    refusals: Throttled,
 }
 
-/// The newest message that nobody has fetched.
+/// The newest sample that nobody has fetched.
 #[derive(Debug, Default)]
 struct Inbox {
-    newest: Mutex<Option<Message>>,
+    come: Mutex<Come>,
     arrived: Condvar,
+    strangers: Throttled,
+}
+
+#[derive(Debug, Default)]
+struct Come {
+    /// Of the driver's start; nothing counts before it is known.
+    epoch: Option<u64>,
+    newest: Option<WireSample>,
+    /// What else has come since the last sample.
+    stranger: Option<Stranger>,
+}
+
+/// What is no sample of the driver.
+#[derive(Clone, Debug, thiserror::Error)]
+enum Stranger {
+    #[error("it is of another start of the driver, or of another one of the name")]
+    Epoch,
+    #[error(transparent)]
+    Message(#[from] CodecError),
 }
 
 #[derive(Debug)]
@@ -74,7 +97,7 @@ impl RemoteDriver {
         let unreachable = |source| DriverError::Session { driver: name.clone(), source };
         let inbox = Arc::new(Inbox::default());
         let offered = Arc::clone(&inbox);
-        let reader = session.control_reader(keys.sample.clone(), move |message| offered.offer(message));
+        let reader = session.control_reader(keys.sample.clone(), move |message| offered.offer(&message));
         let reader = reader.await.map_err(unreachable)?;
         let encoding = WireTargets::SCHEMA.encoding();
         let targets = session.control_sender(&keys.targets, &encoding).await.map_err(unreachable)?;
@@ -82,6 +105,7 @@ impl RemoteDriver {
         let asked = session.query_until(&keys.description, FOUND_WITHIN).await.map_err(unreachable)?;
         let before = described(&name, &asked)?;
         let order = Order::of(&before, model, &name)?;
+        inbox.come.lock().epoch = Some(before.epoch);
         let commander = format!("{} {}", session.id(), session.now_ns());
         let claim = Claim { commander: commander.clone(), caller: caller.into() };
         let (encoding, payload) = written(&claim);
@@ -102,6 +126,7 @@ impl RemoteDriver {
             last: None,
             sent: Vec::new(),
             claimed: true,
+            refusals: Throttled::default(),
         };
         // One that was started anew in between may have another order.
         if driver.described.epoch != before.epoch {
@@ -115,27 +140,30 @@ impl RemoteDriver {
         &self.name
     }
 
-    /// The next message that is a new sample.
+    /// The next sample that is new.
     fn newer(&mut self) -> Result<WireSample, DriverError> {
         let within = match self.described.clock {
             DriverClock::Lockstep => ASKED_AFTER,
             DriverClock::Realtime => LOST_AFTER,
         };
+        let until = Instant::now() + within;
         loop {
-            let Some(message) = self.inbox.wait(within) else {
-                if self.described.clock == DriverClock::Lockstep && self.is_there() {
-                    continue;
-                }
-                let silent_ms = within.as_millis() as u64;
-                return Err(DriverError::Silent { driver: self.name.clone(), silent_ms });
+            let left = match self.described.clock {
+                DriverClock::Lockstep => within,
+                // Samples that are not new do not count.
+                DriverClock::Realtime => until.saturating_duration_since(Instant::now()),
             };
-            let unreadable = |source| DriverError::Message { driver: self.name.clone(), source };
-            let sample: WireSample = read(&message.encoding, &message.payload).map_err(unreadable)?;
-            if sample.epoch != self.described.epoch {
-                return Err(DriverError::Restarted { driver: self.name.clone() });
+            let Some(sample) = self.inbox.wait(left) else {
+                self.is_there(within)?;
+                continue;
+            };
+            if sample.claims > self.described.claims {
+                let reason =
+                    "somebody else has claimed it since, as it had heard no targets for too long".into();
+                return Err(DriverError::Refused { driver: self.name.clone(), reason });
             }
             if let Some(reason) = &sample.refused {
-                tracing::warn!("the driver `{}` refused {reason}", self.name);
+                self.refusals.warn(format_args!("the driver `{}` refused {reason}", self.name));
             }
             match self.last {
                 Some((number, _)) if sample.number == number && !self.sent.is_empty() => {
@@ -147,8 +175,25 @@ impl RemoteDriver {
         }
     }
 
-    fn is_there(&self) -> bool {
-        self.session.ask(&self.keys.description, ("", Vec::new()), ASKED_AFTER).is_ok()
+    /// Whether a driver that has been silent may be waited for: one in lockstep may compute for long.
+    fn is_there(&self, silent: Duration) -> Result<(), DriverError> {
+        let driver = || self.name.clone();
+        match self.inbox.come.lock().stranger.take() {
+            Some(Stranger::Epoch) => return Err(DriverError::Restarted { driver: driver() }),
+            Some(Stranger::Message(source)) => return Err(DriverError::Message { driver: driver(), source }),
+            None => {}
+        }
+        let lost = DriverError::Silent { driver: driver(), silent_ms: silent.as_millis() as u64 };
+        if self.described.clock == DriverClock::Realtime {
+            return Err(lost);
+        }
+        let asked = self.session.ask(&self.keys.description, ("", Vec::new()), ASKED_AFTER);
+        let now = described(&self.name, &asked.map_err(|_| lost)?)?;
+        if now.epoch == self.described.epoch {
+            Ok(())
+        } else {
+            Err(DriverError::Restarted { driver: driver() })
+        }
     }
 
     fn unreachable(&self, source: SessionError) -> DriverError {
@@ -166,6 +211,10 @@ impl Driver for RemoteDriver {
         Duration::from_secs_f64(1.0 / self.described.rate_hz)
     }
 
+    fn bodies(&self) -> Vec<String> {
+        self.described.bodies.clone()
+    }
+
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let sample = self.newer()?;
         if let Some((_, before_ns)) = self.last
@@ -178,7 +227,7 @@ impl Driver for RemoteDriver {
             });
         }
         self.last = Some((sample.number, sample.stamp_ns));
-        let WireSample { stamp_ns, braked, position, velocity, wrenches, .. } = sample;
+        let WireSample { stamp_ns, braked, position, velocity, wrenches, bodies, .. } = sample;
         let joint = |values: &[f64]| {
             self.order.joints.iter().map(|&i| values.get(i).copied().unwrap_or(f64::NAN)).collect()
         };
@@ -189,7 +238,10 @@ impl Driver for RemoteDriver {
         // What is missing is no number, which the guard knows how to treat.
         let wrenches = self.order.wrenches.iter().map(wrench).collect();
         let sample = Sample { position: joint(&position), velocity: joint(&velocity), wrenches };
-        Ok(TimedSample { stamp_ns, sample, braked })
+        let bodies = bodies.into_iter().map(|(name, at)| (name, pose(at)));
+        // What is no pose is no body, either.
+        let bodies = bodies.filter(|(_, at)| at.to_homogeneous().iter().all(|c| c.is_finite()));
+        Ok(TimedSample { stamp_ns, sample, braked, bodies: bodies.collect() })
     }
 
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
@@ -221,18 +273,28 @@ impl Drop for RemoteDriver {
 }
 
 impl Inbox {
-    /// Replaces what has not been fetched.
-    fn offer(&self, message: Message) {
-        *self.newest.lock() = Some(message);
-        self.arrived.notify_one();
+    /// A message, on a thread of the link: a sample of the driver replaces what has not been fetched.
+    fn offer(&self, message: &Message) {
+        let sample = read::<WireSample>(&message.encoding, &message.payload);
+        let mut come = self.come.lock();
+        let Some(epoch) = come.epoch else { return };
+        let stranger = match sample {
+            Ok(sample) if sample.epoch == epoch => {
+                (come.newest, come.stranger) = (Some(sample), None);
+                self.arrived.notify_one();
+                return;
+            }
+            Ok(_) => Stranger::Epoch,
+            Err(error) => error.into(),
+        };
+        self.strangers.warn(format_args!("a message on `{}` is ignored: {stranger}", message.key));
+        come.stranger = Some(stranger);
     }
 
-    fn wait(&self, within: Duration) -> Option<Message> {
-        let mut newest = self.newest.lock();
-        if newest.is_none() {
-            let _ = self.arrived.wait_for(&mut newest, within);
-        }
-        newest.take()
+    fn wait(&self, within: Duration) -> Option<WireSample> {
+        let mut come = self.come.lock();
+        let _ = self.arrived.wait_while_for(&mut come, |come| come.newest.is_none(), within);
+        come.newest.take()
     }
 }
 
@@ -244,7 +306,7 @@ impl Order {
         let other =
             |what| DriverError::OtherRobot { driver: driver.into(), robot: model.name().into(), what };
         if !(1.0..=10_000.0).contains(rate_hz) {
-            return Err(other(format!("it samples with {rate_hz} Hz; 1 to 10000 are possible")));
+            return Err(other(Mismatch::Rate { hz: *rate_hz }));
         }
         let joints = places("joint", &own, joints).map_err(other)?;
         Ok(Self { joints, wrenches: places("wrench sensor", &sensors, wrenches).map_err(other)? })
@@ -252,15 +314,14 @@ impl Order {
 }
 
 /// Where each of the robot's own names is among those of the driver.
-fn places(kind: &str, own: &[&str], driven: &[String]) -> Result<Vec<usize>, String> {
+fn places(kind: &'static str, own: &[&str], driven: &[String]) -> Result<Vec<usize>, Mismatch> {
     if let Some(strange) = driven.iter().find(|name| !own.contains(&name.as_str())) {
-        return Err(format!("the robot has no {kind} `{strange}`; it has {}", own.join(", ")));
+        return Err(Mismatch::Unknown { kind, name: strange.clone(), known: own.join(", ") });
     }
     if driven.len() > own.len() {
-        return Err(format!("it names a {kind} twice"));
+        return Err(Mismatch::Twice { kind });
     }
     let place = |name: &&str| driven.iter().position(|other| other == name);
-    own.iter()
-        .map(|name| place(name).ok_or_else(|| format!("it does not have the {kind} `{name}`")))
-        .collect()
+    let missing = |name: &&str| Mismatch::Missing { kind, name: (*name).to_owned() };
+    own.iter().map(|name| place(name).ok_or_else(|| missing(name))).collect()
 }

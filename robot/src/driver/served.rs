@@ -12,10 +12,10 @@ use parking_lot::{Condvar, Mutex};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::gate::{Gate, WATCHDOG_NS};
+use super::gate::{Gate, Refused, WATCHDOG_NS};
 use super::wire::{Claim, Description, DriverRefusal, Keys, Release, WireSample, WireTargets};
 use super::{Driver, DriverClock, DriverError, TimedSample};
-use crate::message::{read, written};
+use crate::message::{read, wire_pose, written};
 use crate::{JointTargets, Model};
 
 /// Claims and questions that wait.
@@ -61,6 +61,8 @@ impl DriverServer {
             clock,
             epoch: session.now_ns(),
             watchdog_s: WATCHDOG_NS as f64 * 1e-9,
+            bodies: driver.bodies(),
+            claims: 0,
         };
         let gate = Gate::new(described.joints.len(), clock, period.as_nanos() as u64, described.epoch);
         let (gate, arrived, began) = (Mutex::new(gate), Condvar::new(), Instant::now());
@@ -73,7 +75,7 @@ impl DriverServer {
             let mut gate = taking.gate.lock();
             match read::<WireTargets>(&message.encoding, &message.payload) {
                 Ok(targets) => gate.offer(targets, now_ns),
-                Err(error) => gate.refuse(error.to_string()),
+                Err(error) => gate.refuse(error.into()),
             }
             taking.arrived.notify_one();
         });
@@ -106,11 +108,12 @@ impl Shared {
         while let Some(query) = questions.next().await {
             let answered = match self.claimed(&query) {
                 Ok(()) => {
-                    let (encoding, payload) = written(&self.described);
+                    let claims = self.gate.lock().claims();
+                    let (encoding, payload) = written(&Description { claims, ..self.described.clone() });
                     query.reply(&key, &encoding, payload).await
                 }
-                Err(reason) => {
-                    let (encoding, payload) = written(&DriverRefusal { reason });
+                Err(refused) => {
+                    let (encoding, payload) = written(&DriverRefusal { reason: refused.to_string() });
                     query.refuse(&encoding, payload).await
                 }
             };
@@ -121,18 +124,17 @@ impl Shared {
     }
 
     /// A question without a payload changes nothing.
-    fn claimed(&self, query: &IncomingQuery) -> Result<(), String> {
+    fn claimed(&self, query: &IncomingQuery) -> Result<(), Refused> {
         let IncomingQuery { encoding, payload, .. } = query;
         if payload.is_empty() {
             return Ok(());
         }
         if Release::SCHEMA.check(encoding).is_ok() {
-            let Release { commander } = read(encoding, payload).map_err(|error| error.to_string())?;
+            let Release { commander } = read(encoding, payload)?;
             self.gate.lock().release(&commander);
             return Ok(());
         }
-        let claim: Claim = read(encoding, payload).map_err(|error| error.to_string())?;
-        self.gate.lock().claim(claim, self.now_ns())
+        self.gate.lock().claim(read::<Claim>(encoding, payload)?, self.now_ns())
     }
 
     /// Samples, sends, and applies what comes, until the driver is lost or this ends.
@@ -141,6 +143,7 @@ impl Shared {
         while !ends.load(Ordering::Relaxed) {
             let Ok(timed) = driver.sample() else { return };
             let (braked, refused) = self.gate.lock().begin_sample(number, self.now_ns());
+            let refused = refused.map(|refused| refused.to_string());
             let payload = written(&self.sample(number, timed, braked, refused)).1;
             let sent = sender.send(payload.clone());
             let targets = match driver.clock() {
@@ -179,7 +182,7 @@ impl Shared {
     }
 
     fn sample(&self, number: u64, timed: TimedSample, braked: bool, refused: Option<String>) -> WireSample {
-        let TimedSample { stamp_ns, sample, .. } = timed;
+        let TimedSample { stamp_ns, sample, bodies, .. } = timed;
         let wrench = |wrench: &crate::ForceTorque| {
             let (force, torque) = (wrench.force, wrench.torque);
             [force.x, force.y, force.z, torque.x, torque.y, torque.z]
@@ -193,6 +196,8 @@ impl Shared {
             velocity: sample.velocity,
             braked,
             refused,
+            claims: self.gate.lock().claims(),
+            bodies: bodies.iter().map(|(name, pose)| (name.clone(), wire_pose(pose))).collect(),
         }
     }
 }

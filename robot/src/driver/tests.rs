@@ -1,16 +1,21 @@
 //! A driver in another session: the guard above it keeps every rule, and what the driver must not take it refuses.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use armarium_bus::{Session, SessionConfig};
+use armarium_bus::{Payload as _, Session, SessionConfig};
 use tokio::runtime::{Builder, Runtime};
 
-use super::gate::Gate;
-use super::wire::{Claim, WireTargets};
-use super::{Driver, DriverClock, DriverError, DriverServer, GuardedDriver, RemoteDriver};
+use super::gate::{Gate, Refused};
+use super::wire::{Claim, Keys, WireSample, WireTargets};
+use super::{
+    Driver, DriverClock, DriverError, DriverServer, DryDriver, GuardedDriver, RemoteDriver, TimedSample,
+};
+use crate::message::{read, written};
 use crate::{
-    Fault, Guard, GuardConfig, JointTargets, Lease, LeaseLimits, Model, Robot, ServoDriver, conformance,
+    Fault, Guard, GuardConfig, JointTargets, Lease, LeaseError, LeaseLimits, Model, Robot, ServoDriver,
+    conformance,
 };
 
 /// Two sessions on threads of their own.
@@ -185,6 +190,103 @@ fn a_guard_begins_again_where_the_joints_have_braked() {
     assert!((0.005..0.1).contains(&way), "it goes on from there: {way}");
 }
 
+/// A driver whose first samples say that it is braked.
+struct BrakedAtFirst(ServoDriver, u64);
+
+impl Driver for BrakedAtFirst {
+    fn clock(&self) -> DriverClock {
+        self.0.clock()
+    }
+    fn period(&self) -> std::time::Duration {
+        self.0.period()
+    }
+    fn sample(&mut self) -> Result<TimedSample, DriverError> {
+        let timed = self.0.sample()?;
+        Ok(TimedSample { braked: timed.stamp_ns <= self.1 * MS, ..timed })
+    }
+    fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
+        self.0.apply(targets)
+    }
+    fn brake(&mut self) {
+        self.0.brake();
+    }
+}
+
+#[test]
+fn skills_begin_when_a_driver_has_taken_its_first_targets() {
+    let model = model("pillar7");
+    for (braked_ms, begins_ms) in [(0, 1), (4, 5), (1000, 101)] {
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+        let joints = ServoDriver::new(&model, model.start(), DriverClock::Lockstep);
+        let mut guarded = GuardedDriver::new(guard, BrakedAtFirst(joints, braked_ms));
+        let begins = (1..200).find(|_| {
+            guarded.step().unwrap();
+            robot.sensed().borrow().stamp_ns > 0
+        });
+        assert_eq!(begins, Some(begins_ms));
+        let arm = model.arms().next().unwrap();
+        let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+        lease.command(&vec![0.1; arm.joints.len()]).unwrap();
+        guarded.step().unwrap();
+        assert_eq!(lease.fault().is_some(), braked_ms == 1000, "{:?}", lease.fault());
+    }
+}
+
+#[test]
+fn a_guard_that_was_silent_for_too_long_learns_that_another_one_has_the_driver() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Realtime);
+    let mut first = network.connect("arm", &model).unwrap();
+    first.sample().unwrap();
+    pause();
+    let second = loop {
+        match network.connect("arm", &model) {
+            Ok(driver) => break driver,
+            Err(DriverError::Refused { .. }) => pause(),
+            Err(error) => panic!("{error}"),
+        }
+    };
+    let lost = loop {
+        if let Err(error) = first.sample() {
+            break error.to_string();
+        }
+    };
+    assert!(lost.starts_with("the driver `sim/arm` refuses: somebody else has claimed it since"), "{lost}");
+    // What the first one releases is not his.
+    drop(first);
+    drop(second);
+}
+
+#[test]
+fn in_a_dry_run_everything_happens_but_targets() {
+    let network = Network::new();
+    let model = model("pillar7");
+    for (name, clock) in [("still", DriverClock::Lockstep), ("alive", DriverClock::Realtime)] {
+        let _server = network.serve(name, &model, clock);
+        let driver = DryDriver::new(network.connect(name, &model).unwrap());
+        let fastest = driver.fastest();
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+        let mut guarded = GuardedDriver::new(guard, driver);
+        guarded.step().unwrap();
+        let arm = model.arms().next().unwrap();
+        let at = || robot.sensed().borrow().position.clone();
+        let (lease, begin) = (robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap(), at());
+        for _ in 0..100 {
+            // On a busy machine samples may be so late that the guard misses a command.
+            let commanded = lease.command(&vec![0.2; arm.joints.len()]);
+            assert!(
+                commanded.is_ok() || matches!(lease.fault(), Some(Fault::Watchdog { .. })),
+                "{commanded:?}"
+            );
+            guarded.step().unwrap();
+        }
+        let moved = at().iter().zip(&begin).map(|(now, then)| (now - then).abs()).fold(0.0, f64::max);
+        assert!(moved < 1e-9, "{name}: {moved}");
+        let wanted = fastest.lock()[arm.joints[0]];
+        assert!((0.05..0.25).contains(&wanted), "{name}: {wanted}");
+    }
+}
+
 #[expect(clippy::disallowed_methods, reason = "it stands for a thread that hangs")]
 fn pause() {
     std::thread::sleep(std::time::Duration::from_millis(200));
@@ -202,6 +304,126 @@ fn a_driver_of_another_robot_is_refused_and_left_alone() {
     assert_eq!(error, "the driver `sim/arm` refuses: it is commanded by `test`");
     let error = network.connect("leg", &pillar).unwrap_err().to_string();
     assert!(error.contains("nobody answered `sim/drive/leg/description`"), "{error}");
+}
+
+/// What a stranger puts on the key of samples.
+fn intrude(network: &Network, encoding: &str, payload: Vec<u8>) {
+    let key = Keys::of("sim", "arm").unwrap().sample;
+    network.threads.block_on(network.driving.put(&key, encoding, payload)).unwrap();
+}
+
+/// A sample of another start of the driver, as it is sent.
+fn of_another_start(model: &Model) -> (String, Vec<u8>) {
+    let (position, velocity) = (model.zero(), model.zero());
+    let (epoch, number, stamp_ns) = (1, u64::MAX, u64::MAX);
+    let wrenches = vec![[0.0; 6]; model.wrenches().len()];
+    let (refused, bodies, claims) = (None, BTreeMap::new(), 0);
+    written(&WireSample {
+        epoch,
+        number,
+        stamp_ns,
+        position,
+        velocity,
+        wrenches,
+        braked: false,
+        refused,
+        bodies,
+        claims,
+    })
+}
+
+#[test]
+fn what_strangers_send_on_its_key_does_not_end_a_driver() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let server = network.serve("arm", &model, DriverClock::Realtime);
+    let mut driver = network.connect("arm", &model).unwrap();
+    let (encoding, strange) = of_another_start(&model);
+    let unknown = WireSample::SCHEMA.encoding().replace(";v1", ";v2");
+    let huge = vec![0x81; 1 << 20];
+    for _ in 0..20 {
+        for (encoding, payload) in
+            [(&encoding, &strange), (&unknown, &strange), (&encoding, &vec![0xff]), (&encoding, &huge)]
+        {
+            intrude(&network, encoding, payload.clone());
+            assert!(driver.sample().unwrap().stamp_ns < u64::MAX);
+        }
+    }
+    // When the driver is gone, what else came is the reason.
+    drop(server);
+    let lost = loop {
+        intrude(&network, &encoding, strange.clone());
+        if let Err(error) = driver.sample() {
+            break error;
+        }
+    };
+    assert_eq!(lost, DriverError::Restarted { driver: "sim/arm".into() });
+}
+
+#[test]
+fn targets_of_another_version_are_refused_with_the_reason() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let _server = network.serve("arm", &model, DriverClock::Realtime);
+    let (tell, told) = std::sync::mpsc::channel();
+    let Keys { sample, targets: key, .. } = Keys::of("sim", "arm").unwrap();
+    let reader = network.guarding.control_reader(sample, move |message| {
+        let sample: WireSample = read(&message.encoding, &message.payload).unwrap();
+        sample.refused.into_iter().for_each(|refused| drop(tell.send(refused)));
+    });
+    let _reader = network.threads.block_on(reader).unwrap();
+    let other = WireTargets::SCHEMA.encoding().replace(";v1", ";v2");
+    let reason = loop {
+        network.threads.block_on(network.guarding.put(&key, &other, written(&targets("a", 1)).1)).unwrap();
+        // The link may not know the driver yet.
+        if let Ok(reason) = told.recv_timeout(std::time::Duration::from_millis(100)) {
+            break reason;
+        }
+    };
+    assert!(reason.contains("the payload is version 2 of `drive/targets`"), "{reason}");
+}
+
+#[test]
+fn a_clock_that_goes_back_ends_a_driver_with_the_reason() {
+    struct Jumping(ServoDriver, u64);
+    impl Driver for Jumping {
+        fn clock(&self) -> DriverClock {
+            self.0.clock()
+        }
+        fn period(&self) -> std::time::Duration {
+            self.0.period()
+        }
+        fn sample(&mut self) -> Result<TimedSample, DriverError> {
+            self.1 += 1;
+            let timed = self.0.sample()?;
+            let stamp_ns = if self.1 > 5 { 7 } else { timed.stamp_ns };
+            Ok(TimedSample { stamp_ns, ..timed })
+        }
+        fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
+            self.0.apply(targets)
+        }
+        fn brake(&mut self) {
+            self.0.brake();
+        }
+    }
+    let (network, model) = (Network::new(), model("pillar7"));
+    let jumping = Jumping(ServoDriver::new(&model, model.start(), DriverClock::Lockstep), 0);
+    let serving = DriverServer::start(&network.driving, ("sim", "arm"), &model, jumping);
+    let _server = network.threads.block_on(serving).unwrap();
+    let driver = network.connect("arm", &model).unwrap();
+    let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    let arm = model.arms().next().unwrap();
+    let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+    let ended = in_virtual_time(GuardedDriver::new(guard, driver).run(|_, _| true));
+    let clock = DriverError::Clock { driver: "sim/arm".into(), before_ns: 5_000_000, after_ns: 7 };
+    assert_eq!(ended, Err(clock.clone()));
+    assert_eq!(lease.fault(), Some(Fault::Stopped { reason: clock.to_string() }));
+    drop(lease);
+    robot.reset();
+    let refused = robot.lease(&arm.name, "test", LeaseLimits::default()).map(drop);
+    assert_eq!(
+        refused,
+        Err(LeaseError::Stopped { reason: clock.to_string() }),
+        "a reset brings no driver back"
+    );
 }
 
 const MS: u64 = 1_000_000;
@@ -246,14 +468,17 @@ fn targets_that_do_not_fit_are_refused_with_a_reason() {
         gate.offer(offered.clone(), MS);
         assert!(gate.take().is_none(), "{offered:?}");
         let (_, refused) = gate.begin_sample(101, MS);
-        assert!(refused.as_deref().is_some_and(|said| said.contains(reason)), "{refused:?} {reason}");
+        assert!(
+            refused.as_ref().is_some_and(|said| said.to_string().contains(reason)),
+            "{refused:?} {reason}"
+        );
         gate.offer(targets("a", 101), MS);
         assert!(gate.take().is_some(), "what fits is taken after {reason}");
     }
     let mut late = gate();
     (101..=160).for_each(|number| drop(late.begin_sample(number, MS)));
     late.offer(targets("a", 101), MS);
-    assert!(late.begin_sample(161, MS).1.unwrap().contains("a sample that is 59 ms old"));
+    assert!(late.begin_sample(161, MS).1.unwrap().to_string().contains("a sample that is 59 ms old"));
 }
 
 #[test]
@@ -263,7 +488,7 @@ fn after_it_has_braked_only_who_knows_that_commands() {
     assert!(gate.begin_sample(102, 52 * MS).0, "51 ms after the last targets");
     gate.offer(targets("a", 101), 52 * MS);
     assert!(gate.take().is_none());
-    assert!(gate.begin_sample(103, 53 * MS).1.unwrap().contains("from before the joints braked"));
+    assert!(gate.begin_sample(103, 53 * MS).1.unwrap().to_string().contains("from before the joints braked"));
     gate.offer(targets("a", 102), 53 * MS);
     assert!(gate.take().is_some() && !gate.begin_sample(104, 54 * MS).0);
 }
@@ -271,7 +496,10 @@ fn after_it_has_braked_only_who_knows_that_commands() {
 #[test]
 fn a_driver_has_one_commander_until_he_is_silent() {
     let mut gate = gate();
-    assert_eq!(gate.claim(claim("b"), 1000 * MS), Err("it is commanded by `a`".into()));
+    assert_eq!(gate.claim(claim("b"), 1000 * MS), Err(Refused::Commanded { by: "a".into() }));
+    for nobody in ["", &"x".repeat(201)] {
+        assert_eq!(gate.claim(claim(nobody), 5000 * MS), Err(Refused::Name));
+    }
     assert_eq!(gate.claim(claim("a"), 1000 * MS), Ok(()), "who asks again has it still");
     assert_eq!(gate.claim(claim("b"), 2002 * MS), Ok(()));
     assert!(gate.begin_sample(101, 2002 * MS).0, "a new commander begins with joints that stand");

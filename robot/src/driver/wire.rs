@@ -2,11 +2,13 @@
 //!
 //! Joints and sensors are in the order of the driver's [`Description`], not of the robot's model.
 
+use std::collections::BTreeMap;
+
 use armarium_bus::{Key, KeyError, Reply, keys};
 use serde::{Deserialize, Serialize};
 
 use super::{DriverClock, DriverError};
-use crate::message::read;
+use crate::message::{WirePose, read};
 
 /// What a driver drives.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +27,12 @@ pub(super) struct Description {
     /// How long it waits for targets before it brakes, s; it does not wait by that in lockstep.
     #[serde(default)]
     pub(super) watchdog_s: f64,
+    /// The names of the bodies whose poses it tells now and then, if it does.
+    #[serde(default)]
+    pub(super) bodies: Vec<String>,
+    /// How often it has been claimed; in the answer to a claim, its number.
+    #[serde(default)]
+    pub(super) claims: u64,
 }
 
 /// A sample of a driver.
@@ -48,6 +56,12 @@ pub(super) struct WireSample {
     /// Why targets were refused since the last sample, if any were.
     #[serde(default)]
     pub(super) refused: Option<String>,
+    /// Poses of bodies by their names, in the frame in which the odometry began.
+    #[serde(default)]
+    pub(super) bodies: BTreeMap<String, WirePose>,
+    /// How often the driver has been claimed.
+    #[serde(default)]
+    pub(super) claims: u64,
 }
 
 /// The targets that follow from a sample.

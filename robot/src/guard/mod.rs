@@ -173,8 +173,9 @@ impl Guard {
 
     /// Stops the robot for good, as its drives are out of reach: leases are refused with the reason, and no sample follows.
     pub fn end(&mut self, reason: &str) {
-        let shared = Arc::clone(&self.shared);
-        GuardedRobot { shared }.stop(reason);
+        let robot = GuardedRobot { shared: Arc::clone(&self.shared) };
+        robot.shared.leases().ended = Some(reason.to_owned());
+        robot.stop(reason);
         // Once more, so that those who command are told why before the samples end.
         self.shared.sensed.send(self.shared.sensed.borrow());
         self.shared.sensed.close();
@@ -193,6 +194,8 @@ impl Guard {
         self.find_faults(&mut table, stamp_ns);
         self.take_commands(&table);
         drop(table);
+        // Before the rest is computed: skills of other threads begin with it meanwhile.
+        self.publish(stamp_ns);
         self.arms.yield_into(&self.sensors, &self.kinematics, &self.config, &mut self.desired);
         let Self { bounds, clearance, kinematics, desired, targets, .. } = self;
         clearance.update(kinematics, &targets.position);
@@ -202,7 +205,6 @@ impl Guard {
             roll_only(platform, &targets.position, &mut targets.velocity);
         }
         self.integrate(dt);
-        self.publish(stamp_ns);
         self.braked = false;
         &self.targets
     }

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use parking_lot::{Mutex, MutexGuard};
 
 use super::robot::Robot;
+use crate::boundary::{MAX_M, MAX_NAME};
 use crate::model::Limb;
 use crate::model::unknown;
 use crate::planning::KnownBox;
@@ -17,6 +18,8 @@ use crate::{Fault, LeaseError, LeaseLimits, Load, Model, RobotError, Sensed, Sen
 
 /// Number of utterances kept until the driver takes them; older ones are dropped.
 const MAX_UTTERANCES: usize = 64;
+/// Most things that one lease may touch.
+const MAX_TOUCHES: usize = 100;
 /// Most known boxes around the robot: each costs time in every control step.
 const MAX_SURROUNDINGS: usize = 16;
 
@@ -104,6 +107,8 @@ impl LimbSlot {
 pub(crate) struct LeaseTable {
     pub(crate) slots: Vec<LimbSlot>,
     pub(crate) stopped: Option<String>,
+    /// Why the robot is stopped for good.
+    pub(crate) ended: Option<String>,
     /// The wrench sensors whose present force is to be taken as zero, as indices into the model's.
     pub(crate) tared: Vec<usize>,
     /// What the hands hold, by their names.
@@ -126,6 +131,7 @@ impl LeaseTable {
         Self {
             slots,
             stopped: None,
+            ended: None,
             tared: Vec::new(),
             loads: BTreeMap::new(),
             loads_changed: false,
@@ -185,6 +191,13 @@ pub struct GuardedRobot {
     pub(crate) shared: Arc<LeaseBoard>,
 }
 
+impl GuardedRobot {
+    /// By what all commanded velocities are multiplied.
+    pub fn speed_scale(&self) -> f64 {
+        self.shared.leases().speed_scale
+    }
+}
+
 impl Robot for GuardedRobot {
     fn model(&self) -> &Arc<Model> {
         &self.shared.model
@@ -192,6 +205,10 @@ impl Robot for GuardedRobot {
 
     fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>> {
         self.shared.sensed.subscribe()
+    }
+
+    fn lost(&self) -> Option<String> {
+        self.shared.leases().ended.clone()
     }
 
     fn lease_together(
@@ -202,6 +219,10 @@ impl Robot for GuardedRobot {
         touches: &[String],
     ) -> Result<Lease, LeaseError> {
         limits.check()?;
+        let long = touches.iter().map(String::as_str).chain([holder]).any(|name| name.len() > MAX_NAME);
+        if long || touches.len() > MAX_TOUCHES {
+            return Err(LeaseError::Names { bytes: MAX_NAME, touches: MAX_TOUCHES });
+        }
         let mut table = self.shared.leases();
         if let Some(reason) = &table.stopped {
             return Err(LeaseError::Stopped { reason: reason.clone() });
@@ -282,7 +303,10 @@ impl Robot for GuardedRobot {
             return Err(RobotError::Surroundings { why });
         }
         if let Some(bad) = boxes.iter().find(|known| !known.is_box()) {
-            let why = format!("`{}` has an edge or a place that is no number, or no edge", bad.name);
+            let name = bad.name.chars().take(MAX_NAME).collect::<String>();
+            let why = format!(
+                "`{name}` has an edge or a place that is no number, no edge, or over {MAX_M} m, or a name over {MAX_NAME} bytes"
+            );
             return Err(RobotError::Surroundings { why });
         }
         let mut table = self.shared.leases();
@@ -302,7 +326,8 @@ impl Robot for GuardedRobot {
     }
 
     fn reset(&self) {
-        self.shared.leases().stopped = None;
+        let mut table = self.shared.leases();
+        table.stopped = table.ended.clone();
     }
 
     fn set_speed_scale(&self, scale: f64) -> Result<(), RobotError> {

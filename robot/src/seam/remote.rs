@@ -1,16 +1,19 @@
 //! A robot whose guard is in another process.
 //!
 //! Questions hold up the thread that asks, as calls of a robot in this process do, for a fraction of a millisecond. Commands are
-//! sent at once. Faults come with the states.
+//! sent at once. Faults come with the states. A state that is none of the robot is passed over; if no other comes, it is the
+//! reason why the robot is lost.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use armarium_bus::control::{ControlReader, ControlSender};
-use armarium_bus::{AliveToken, Key, Message, Payload, Reply, Session, keys};
+use armarium_bus::{
+    AliveToken, CodecError, Key, KeyError, Message, Payload, Reply, Session, SessionError, keys,
+};
 use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
@@ -23,10 +26,11 @@ use super::wire::{
 use crate::message::{read, written};
 use crate::model::Limb;
 use crate::planning::KnownBox;
+use crate::throttled::Throttled;
 use crate::{Fault, LeaseError, LeaseLimits, Load, Model, RobotError, Sensed, SensedWrench, newest};
 
-/// A robot without a state for so long is lost.
-const LOST_AFTER: Duration = Duration::from_millis(500);
+/// A robot without a state for so long is lost. Its guard gives up a driver before, and tells the reason.
+const LOST_AFTER: Duration = Duration::from_millis(700);
 /// How long a robot is looked for.
 const FOUND_WITHIN: Duration = Duration::from_secs(3);
 /// How long an answer may take.
@@ -51,13 +55,44 @@ struct Shared {
     epoch: u64,
     sensed: newest::Sender<Arc<Sensed>>,
     commands: ControlSender,
-    /// The number of the newest state.
-    number: AtomicU64,
+    /// Number and stamp of the newest state.
+    newest: Mutex<Option<(u64, u64)>>,
+    /// Why states were passed over since then.
+    passed_over: Mutex<Option<PassedOver>>,
+    warned: Throttled,
     /// What the newest state says of leases.
-    faults: Mutex<BTreeMap<String, Fault>>,
+    faults: Mutex<BTreeMap<u64, Fault>>,
     /// Why no more states come.
     lost: Mutex<Option<String>>,
-    arrived: AtomicBool,
+}
+
+/// Why a state is none of this robot.
+#[derive(Clone, Debug, thiserror::Error)]
+enum PassedOver {
+    #[error(transparent)]
+    Message(#[from] CodecError),
+    #[error("its guard was started again, or there are two of the name")]
+    Epoch,
+    #[error("its clock went from {before_ns} to {after_ns} ns")]
+    Clock { before_ns: u64, after_ns: u64 },
+    #[error("a state is not of its joints and sensors, or not all of its numbers are finite")]
+    Shape,
+}
+
+/// Why a question has no answer that can be used.
+#[derive(Debug, thiserror::Error)]
+enum AskError {
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    #[error(transparent)]
+    Message(#[from] CodecError),
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    /// It says why it refuses, or it is known why it cannot be asked.
+    #[error("{reason}")]
+    Refused { reason: String },
+    #[error("it is not the robot `{robot}` as this process knows it: {what}")]
+    Other { robot: String, what: &'static str },
 }
 
 impl fmt::Debug for Shared {
@@ -71,7 +106,7 @@ impl RemoteRobot {
     /// multi-threaded tokio runtime.
     ///
     /// # Errors
-    /// [`RobotError::Remote`] when it is not there, or another robot.
+    /// [`RobotError::Remote`] when it is not there, has no driver, or is another robot.
     pub async fn connect(
         session: &Session,
         (agent, name): (&str, &str),
@@ -79,21 +114,28 @@ impl RemoteRobot {
         caller: &str,
     ) -> Result<Self, RobotError> {
         let named = format!("{agent}/{name}");
-        let remote = |why: String| RobotError::Remote { robot: named.clone(), why };
-        let keys = Keys::of(agent, name).map_err(|error| remote(error.to_string()))?;
-        let asked = session.query_until(&keys.description, FOUND_WITHIN).await;
+        let connected = Self::connected(session, (agent, name), model, caller).await;
+        connected.map_err(|error| RobotError::Remote { robot: named, why: error.to_string() })
+    }
+
+    async fn connected(
+        session: &Session,
+        (agent, name): (&str, &str),
+        model: &Arc<Model>,
+        caller: &str,
+    ) -> Result<Self, AskError> {
+        let keys = Keys::of(agent, name)?;
         let described: RobotDescription =
-            answer(asked.map_err(|error| error.to_string())).map_err(|error| remote(error.to_string()))?;
+            answer(session.query_until(&keys.description, FOUND_WITHIN).await?)?;
         if let Some(what) = RobotDescription::of(model, 0).differs(&described) {
-            let robot = model.name();
-            return Err(remote(format!("it is not the robot `{robot}` as this process knows it: {what}")));
+            return Err(AskError::Other { robot: model.name().into(), what });
         }
-        let failed = |error: armarium_bus::SessionError| remote(error.to_string());
-        let token = keys::alive(caller, &format!("robot {}", session.id()))
-            .map_err(|error| remote(error.to_string()))?;
-        let alive = session.alive(&token).await.map_err(failed)?;
-        let commands = session.control_sender(&keys.command, &RobotCommand::SCHEMA.encoding()).await;
-        let commands = commands.map_err(failed)?;
+        if let Some(reason) = described.lost {
+            return Err(AskError::Refused { reason });
+        }
+        let token = keys::alive(caller, &format!("robot {}", session.id()))?;
+        let alive = session.alive(&token).await?;
+        let commands = session.control_sender(&keys.command, &RobotCommand::SCHEMA.encoding()).await?;
         let first = Sensed {
             stamp_ns: 0,
             position: model.zero(),
@@ -101,25 +143,43 @@ impl RemoteRobot {
             wrenches: vec![SensedWrench::default(); model.wrenches().len()],
         };
         let shared = Arc::new(Shared {
-            name: named.clone(),
+            name: format!("{agent}/{name}"),
             model: Arc::clone(model),
             session: session.clone(),
             token: token.as_str().into(),
             epoch: described.epoch,
             sensed: newest::Sender::new(Arc::new(first)),
             commands,
-            number: AtomicU64::new(0),
+            newest: Mutex::default(),
+            passed_over: Mutex::default(),
+            warned: Throttled::default(),
             faults: Mutex::default(),
             lost: Mutex::default(),
-            arrived: AtomicBool::new(false),
             keys,
         });
         let taking = Arc::clone(&shared);
         let states =
-            session.control_reader(shared.keys.state.clone(), move |message| taking.take(&message)).await;
-        let states = states.map_err(failed)?;
+            session.control_reader(shared.keys.state.clone(), move |message| taking.take(&message)).await?;
         let watching = tokio::spawn(Arc::clone(&shared).watch());
         Ok(Self { shared, _token: alive, _states: states, watching })
+    }
+
+    /// The key of this process's liveliness token.
+    #[cfg(test)]
+    pub(super) fn token(&self) -> &str {
+        &self.shared.token
+    }
+
+    /// What the newest state says of leases.
+    #[cfg(test)]
+    pub(super) fn faults(&self) -> BTreeMap<u64, Fault> {
+        self.shared.faults.lock().clone()
+    }
+
+    /// Which start of its guard it is.
+    #[cfg(test)]
+    pub(super) fn epoch(&self) -> u64 {
+        self.shared.epoch
     }
 
     /// Does something, for its effect alone.
@@ -137,40 +197,53 @@ impl Drop for RemoteRobot {
 }
 
 /// The content of an answer, or the reason of a refusal.
-fn answer<T: Payload>(asked: Result<Reply, String>) -> Result<T, String> {
-    match asked? {
-        Reply::Message(message) => {
-            read(&message.encoding, &message.payload).map_err(|error| error.to_string())
-        }
+fn answer<T: Payload>(asked: Reply) -> Result<T, AskError> {
+    match asked {
+        Reply::Message(message) => Ok(read(&message.encoding, &message.payload)?),
         Reply::Refusal { encoding, payload } => {
-            let refused: Result<RobotRefusal, _> = read(&encoding, &payload);
-            Err(refused.map_or_else(|error| error.to_string(), |refused| refused.reason))
+            let RobotRefusal { reason } = read(&encoding, &payload)?;
+            Err(AskError::Refused { reason })
         }
     }
 }
 
 impl Shared {
-    /// A state, on a thread of the link.
+    /// A message on the key of states, on a thread of the link.
     fn take(&self, message: &Message) {
         if self.lost.lock().is_some() {
             return;
         }
-        let state: RobotState = match read(&message.encoding, &message.payload) {
-            Ok(state) => state,
-            Err(error) => return self.lose(&error.to_string()),
-        };
+        if let Err(why) = self.take_state(message) {
+            self.warned.warn(format_args!("a state of the robot `{}` is passed over: {why}", self.name));
+            *self.passed_over.lock() = Some(why);
+        }
+    }
+
+    fn take_state(&self, message: &Message) -> Result<(), PassedOver> {
+        let mut state: RobotState = read(&message.encoding, &message.payload)?;
         if state.epoch != self.epoch {
-            return self.lose("its guard was started again");
+            return Err(PassedOver::Epoch);
         }
-        let before = self.number.fetch_max(state.number, Ordering::AcqRel);
-        if self.arrived.swap(true, Ordering::AcqRel) && state.number <= before {
-            return;
+        let (number, stamp_ns, lost) = (state.number, state.stamp_ns, state.lost.take());
+        let faults = std::mem::take(&mut state.faults);
+        let mut newest = self.newest.lock();
+        match *newest {
+            // It came again, or too late.
+            Some((before, _)) if number <= before => return Ok(()),
+            Some((_, before_ns)) if stamp_ns <= before_ns && lost.is_none() => {
+                return Err(PassedOver::Clock { before_ns, after_ns: stamp_ns });
+            }
+            _ => {}
         }
-        self.faults.lock().clone_from(&state.faults);
-        match state.sensed(&self.model) {
-            Some(sensed) => self.sensed.send(Arc::new(sensed)),
-            None => self.lose("a state is not of its joints and sensors"),
+        let sensed = state.sensed(&self.model).ok_or(PassedOver::Shape)?;
+        *newest = Some((number, stamp_ns));
+        *self.passed_over.lock() = None;
+        *self.faults.lock() = faults;
+        match lost {
+            Some(why) => self.lose(&why),
+            None => self.sensed.send(Arc::new(sensed)),
         }
+        Ok(())
     }
 
     /// Tells all who wait why nothing comes any more.
@@ -188,23 +261,25 @@ impl Shared {
                 Ok(Ok(())) => {}
                 Ok(Err(_)) => return,
                 Err(_) => {
-                    return self.lose(&format!("it has sent no state for {} ms", LOST_AFTER.as_millis()));
+                    let passed_over = self.passed_over.lock().take().map(|why| why.to_string());
+                    let silent = || format!("it has sent no state for {} ms", LOST_AFTER.as_millis());
+                    return self.lose(&passed_over.unwrap_or_else(silent));
                 }
             }
         }
     }
 
     fn act(&self, wanted: Do) -> Result<Done, RobotError> {
-        let remote = |why| RobotError::Remote { robot: self.name.clone(), why };
-        answer(self.asked(&self.keys.to_do, written(&wanted))).map_err(remote)
+        let done = self.asked(&self.keys.to_do, written(&wanted)).and_then(answer);
+        done.map_err(|error| RobotError::Remote { robot: self.name.clone(), why: error.to_string() })
     }
 
-    fn asked(&self, key: &Key, message: (String, Vec<u8>)) -> Result<Reply, String> {
-        if let Some(lost) = self.lost.lock().clone() {
-            return Err(lost);
+    fn asked(&self, key: &Key, message: (String, Vec<u8>)) -> Result<Reply, AskError> {
+        if let Some(reason) = self.lost.lock().clone() {
+            return Err(AskError::Refused { reason });
         }
         let (encoding, payload) = message;
-        self.session.ask(key, (&encoding, payload), ANSWER_WITHIN).map_err(|error| error.to_string())
+        Ok(self.session.ask(key, (&encoding, payload), ANSWER_WITHIN)?)
     }
 }
 
@@ -215,6 +290,10 @@ impl Robot for RemoteRobot {
 
     fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>> {
         self.shared.sensed.subscribe()
+    }
+
+    fn lost(&self) -> Option<String> {
+        self.shared.lost.lock().clone()
     }
 
     fn lease_together(
@@ -232,17 +311,17 @@ impl Robot for RemoteRobot {
             touches: touches.to_vec(),
             token: self.shared.token.clone(),
         };
-        let unreachable = |why| LeaseError::Unreachable { why };
+        let unreachable = |error: AskError| LeaseError::Unreachable { why: error.to_string() };
         let reply = self.shared.asked(&self.shared.keys.lease, written(&question)).map_err(unreachable)?;
         if let Reply::Refusal { encoding, payload } = &reply
             && let Ok(LeaseRefused { why }) = read(encoding, payload)
         {
             return Err(why);
         }
-        let Leased { lease } = answer(Ok(reply)).map_err(unreachable)?;
+        let Leased { lease, number } = answer(reply).map_err(unreachable)?;
         let limbs = limbs.iter().filter_map(|limb| self.shared.model.find_limb(limb).cloned()).collect();
-        let (shared, number, fault) = (Arc::clone(&self.shared), AtomicU64::new(0), Mutex::default());
-        Ok(Lease::new(RemoteCommander { shared, limbs, lease, number, fault }))
+        let (shared, next, fault) = (Arc::clone(&self.shared), AtomicU64::new(0), Mutex::default());
+        Ok(Lease::new(RemoteCommander { shared, limbs, lease, number, next, fault }))
     }
 
     fn tare(&self, wrench: &str) -> Result<(), RobotError> {
@@ -285,9 +364,12 @@ impl Robot for RemoteRobot {
 struct RemoteCommander {
     shared: Arc<Shared>,
     limbs: Vec<Limb>,
+    /// Its secret.
     lease: String,
+    /// Its name in states.
+    number: u64,
     /// The number of the next command.
-    number: AtomicU64,
+    next: AtomicU64,
     /// The first fault that was seen here.
     fault: Mutex<Option<Fault>>,
 }
@@ -299,7 +381,7 @@ impl Commander for RemoteCommander {
         }
         let limbs: Vec<&Limb> = self.limbs.iter().collect();
         let bad = bad_command(velocities, &limbs, &self.shared.model);
-        let number = self.number.fetch_add(1, Ordering::Relaxed);
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
         let command = RobotCommand { lease: self.lease.clone(), number, velocity: velocities.to_vec() };
         // What is bad is sent, too: the guard brakes.
         let sent = self.shared.commands.send(written(&command).1);
@@ -314,7 +396,7 @@ impl Commander for RemoteCommander {
         let mut fault = self.fault.lock();
         if fault.is_none() {
             let lost = self.shared.lost.lock().clone().map(|reason| Fault::Stopped { reason });
-            *fault = self.shared.faults.lock().get(&self.lease).cloned().or(lost);
+            *fault = self.shared.faults.lock().get(&self.number).cloned().or(lost);
         }
         fault.clone()
     }

@@ -16,6 +16,10 @@ pub trait Robot: Send + Sync {
     fn model(&self) -> &Arc<Model>;
     /// The newest sample; the receiver wakes at each new one (1 kHz in the simulator).
     fn sensed(&self) -> newest::NewestReceiver<Arc<Sensed>>;
+    /// Why no further sample will come, where that is known.
+    fn lost(&self) -> Option<String> {
+        None
+    }
     /// Takes the exclusive right to command several limbs together, all or none, until the lease is dropped: one command for
     /// all of them, in the order given, and one fault. `touches` names what the hands that they move, with what these hold, may
     /// come near to: known boxes ([`set_surroundings`](Self::set_surroundings)) or links. All else keeps its distance.

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use armarium_bus::{Key, KeyError, keys};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
+use crate::message::{WirePose, pose, wire_pose};
 use crate::planning::KnownBox;
 use crate::{Fault, ForceTorque, LeaseError, LeaseLimits, Load, LoadShape, Model, Sensed, SensedWrench};
 
@@ -23,6 +24,9 @@ pub(super) struct RobotDescription {
     pub(super) limbs: BTreeMap<String, Vec<String>>,
     /// Distinguishes the starts of the guard.
     pub(super) epoch: u64,
+    /// Why it is out of reach, if it is.
+    #[serde(default)]
+    pub(super) lost: Option<String>,
 }
 
 impl RobotDescription {
@@ -35,12 +39,13 @@ impl RobotDescription {
             wrenches: model.wrenches().iter().map(|sensor| sensor.name.clone()).collect(),
             limbs: limbs.map(|limb| (limb.name.clone(), limb.joints.iter().map(joint).collect())).collect(),
             epoch,
+            lost: None,
         }
     }
 
     /// How it differs from another one, if it does.
     pub(super) fn differs(&self, other: &Self) -> Option<&'static str> {
-        let Self { robot, joints, wrenches, limbs, epoch: _ } = self;
+        let Self { robot, joints, wrenches, limbs, epoch: _, lost: _ } = self;
         let differences = [
             (*robot != other.robot, "it has another name"),
             (*joints != other.joints, "it has other joints, or in another order"),
@@ -62,9 +67,12 @@ pub(super) struct RobotState {
     /// For each sensor what it gives, and what the environment exerts on the hand: force and torque each.
     #[serde(default)]
     pub(super) wrenches: Vec<[[f64; 6]; 2]>,
-    /// The leases that were taken from their commanders, with the reason.
+    /// The leases that were taken from their commanders, by their numbers, with the reason.
     #[serde(default)]
-    pub(super) faults: BTreeMap<String, Fault>,
+    pub(super) faults: BTreeMap<u64, Fault>,
+    /// Why this is the last state, if it is.
+    #[serde(default)]
+    pub(super) lost: Option<String>,
 }
 
 fn six(wrench: &ForceTorque) -> [f64; 6] {
@@ -77,18 +85,25 @@ fn wrench([fx, fy, fz, tx, ty, tz]: [f64; 6]) -> ForceTorque {
 }
 
 impl RobotState {
-    pub(super) fn of(sensed: &Sensed, (epoch, number): (u64, u64), faults: BTreeMap<String, Fault>) -> Self {
+    pub(super) fn of(
+        sensed: &Sensed,
+        (epoch, number): (u64, u64),
+        faults: BTreeMap<u64, Fault>,
+        lost: Option<String>,
+    ) -> Self {
         let Sensed { stamp_ns, position, velocity, wrenches } = sensed;
         let wrenches = wrenches.iter().map(|felt| [six(&felt.raw), six(&felt.external)]).collect();
         let (position, velocity) = (position.clone(), velocity.clone());
-        Self { epoch, number, stamp_ns: *stamp_ns, position, velocity, wrenches, faults }
+        Self { epoch, number, stamp_ns: *stamp_ns, position, velocity, wrenches, faults, lost }
     }
 
-    /// What is sensed, if it is of a robot with so many joints and sensors.
+    /// What is sensed, if it is of a robot with so many joints and sensors, and all finite.
     pub(super) fn sensed(self, model: &Model) -> Option<Sensed> {
         let Self { stamp_ns, position, velocity, wrenches, .. } = self;
         let (joints, sensors) = (model.joints().len(), model.wrenches().len());
         let fits = position.len() == joints && velocity.len() == joints && wrenches.len() == sensors;
+        let finite = position.iter().chain(&velocity).chain(wrenches.iter().flatten().flatten());
+        let fits = fits && finite.copied().all(f64::is_finite);
         let felt =
             |[raw, external]: [[f64; 6]; 2]| SensedWrench { raw: wrench(raw), external: wrench(external) };
         let wrenches = wrenches.into_iter().map(felt).collect();
@@ -121,8 +136,10 @@ impl LeaseQuestion {
 /// A lease was given.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Leased {
-    /// Names it in commands; only who has asked knows it.
+    /// Its secret: commands have it.
     pub(super) lease: String,
+    /// Names it in states, which others see.
+    pub(super) number: u64,
 }
 
 /// A lease was refused.
@@ -168,18 +185,6 @@ pub(super) struct Done {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct RobotRefusal {
     pub(super) reason: String,
-}
-
-/// A position and a unit quaternion x y z w.
-type WirePose = ([f64; 3], [f64; 4]);
-
-fn wire_pose(pose: &Isometry3<f64>) -> WirePose {
-    (pose.translation.vector.into(), pose.rotation.coords.into())
-}
-
-fn pose((position, [x, y, z, w]): WirePose) -> Isometry3<f64> {
-    let rotation = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Vector3::from(position).into(), rotation)
 }
 
 /// What a hand holds.

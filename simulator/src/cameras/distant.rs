@@ -4,6 +4,8 @@
 //! images are then identical, bit for bit, to those of cameras in the world's process. The referee renders its own
 //! images.
 
+use std::collections::BTreeMap;
+
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -82,7 +84,12 @@ pub struct DistantCameras {
     frame: String,
     world: (String, u64),
     wiped: DirtGrid,
+    /// The bodies' names, and where they are at the start, in the world's order.
+    bodies: Vec<(String, Isometry3<f64>)>,
 }
+
+/// Where people are who are not to be seen, root frame, m.
+const OUT_OF_SIGHT: f64 = -100.0;
 
 impl Scenery {
     pub(crate) fn of(view: &SceneState<'_>, world: &(String, u64), frame: u64) -> Self {
@@ -121,7 +128,41 @@ impl DistantCameras {
             frame: model.camera_frame().to_owned(),
             world: (world.name.clone(), seed),
             wiped: DirtGrid::new(&table),
+            bodies: start::bodies(world, &table)
+                .into_iter()
+                .map(|b| (b.spec.name, b.room_from_body))
+                .collect(),
         })
+    }
+
+    /// The names of the world's bodies.
+    pub fn bodies(&self) -> impl Iterator<Item = &str> {
+        self.bodies.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// The scene as another physics engine tells it: the robot's joints, rad (m), in the model's order, and where bodies are, by their
+    /// names, root frame. Bodies of which nothing is told are where the world puts them; people and the coach are not there.
+    pub fn told(
+        &self,
+        (frame, stamp_ns): (u64, u64),
+        position: &[f64],
+        bodies: &BTreeMap<String, Isometry3<f64>>,
+    ) -> Scenery {
+        let at = |(name, start): &(String, Isometry3<f64>)| bodies.get(name).copied().unwrap_or(*start);
+        let away = Isometry3::translation(0.0, 0.0, OUT_OF_SIGHT);
+        Scenery {
+            world: self.world.clone(),
+            frame,
+            exposed_ns: stamp_ns,
+            true_position: position.to_vec(),
+            sensed_position: position.to_vec(),
+            others: Vec::new(),
+            objects: self.bodies.iter().map(at).collect(),
+            people: self.drawing.people().map(|parts| vec![away; parts]).collect(),
+            tool: None,
+            hand: None,
+            wiped: Vec::new(),
+        }
     }
 
     /// The name of the image source.
