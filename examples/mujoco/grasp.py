@@ -24,13 +24,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("armarium", type=Path, help="the program")
     parser.add_argument("--report", type=Path, help="where its report is left")
-    given = parser.parse_args()
+    # All other options are those of drive.py, such as --clock realtime.
+    given, around = parser.parse_known_args()
     world = HERE / "grasp.world.yaml"
     with tempfile.TemporaryDirectory() as folder:
         report = given.report or Path(folder) / "report"
         options = ["--world", world, "--set", f"object={OBJECT}", "--store", Path(folder) / "store.redb", "--report", report]
         chart = HERE.parent.parent / "statecharts" / "grasp_object.yaml"
-        _, said = run(given.armarium, ["--world", world], chart, options)
+        _, said = run(given.armarium, ["--world", world, *around], chart, options)
     start, end = heights(said)
     print(f"the {OBJECT} is {end - start:.3f} m over where it lay")
     if end - start < LIFTED_M:

@@ -1,6 +1,6 @@
 //! Our cameras in another physics engine: a driver tells where its joints and bodies are, and the world's cameras draw that.
 //!
-//! A picture is drawn where somebody waits for it, in the driver's time: a run in lockstep stays one. The world has to be the one
+//! A picture is drawn when somebody waits for it, in the driver's time: a run in lockstep stays one. The world has to be the one
 //! that the driver simulates; what the driver does not tell is drawn as the world says.
 
 use std::collections::BTreeMap;
@@ -41,7 +41,7 @@ pub(crate) struct SceneTeller {
 pub(crate) struct ToldCameras {
     scenes: newest::NewestReceiver<Arc<Scene>>,
     calibration: StereoCalibration,
-    drawn: Mutex<Drawn>,
+    drawn: Arc<Mutex<Drawn>>,
 }
 
 struct Drawn {
@@ -73,7 +73,7 @@ pub(crate) fn cameras(
     let scenes = newest::Sender::new(Arc::default());
     let told = scenes.subscribe();
     let teller = SceneTeller { scenes, rate_hz: world.camera.rate, next: 0 };
-    let drawn = Mutex::new(Drawn { cameras, last: None });
+    let drawn = Arc::new(Mutex::new(Drawn { cameras, last: None }));
     Ok((teller, ToldCameras { scenes: told, calibration, drawn }))
 }
 
@@ -110,20 +110,27 @@ impl ImageSource for ToldCameras {
         let mut scenes = self.scenes.clone();
         scenes.borrow_and_update();
         scenes.changed().await.map_err(|_| Self::gone())?;
-        let scene = scenes.borrow_and_update();
-        let mut drawn = self.drawn.lock();
-        if let Some((number, frame)) = &drawn.last
+        let (scene, drawn) = (scenes.borrow_and_update(), Arc::clone(&self.drawn));
+        // Not on the thread of the skills, who have to command meanwhile; a paused clock waits for it.
+        let drawing = tokio::task::spawn_blocking(move || drawn.lock().picture(&scene));
+        drawing.await.ok().flatten().ok_or_else(Self::gone)
+    }
+}
+
+impl Drawn {
+    /// The picture of a scene, unless it cannot be drawn.
+    fn picture(&mut self, scene: &Scene) -> Option<Arc<StereoFrame>> {
+        if let Some((number, frame)) = &self.last
             && *number == scene.picture.0
         {
-            return Ok(Arc::clone(frame));
+            return Some(Arc::clone(frame));
         }
-        let scenery = drawn.cameras.told(scene.picture, &scene.position, &scene.bodies);
-        let frame = drawn.cameras.draw(&scenery).map_err(|error| {
-            tracing::warn!("what the driver tells cannot be drawn: {error}");
-            Self::gone()
-        })?;
-        let frame = Arc::new(frame);
-        drawn.last = Some((scene.picture.0, Arc::clone(&frame)));
-        Ok(frame)
+        let scenery = self.cameras.told(scene.picture, &scene.position, &scene.bodies);
+        let drawn = self.cameras.draw(&scenery);
+        let drawn =
+            drawn.inspect_err(|error| tracing::warn!("what the driver tells cannot be drawn: {error}"));
+        let frame = Arc::new(drawn.ok()?);
+        self.last = Some((scene.picture.0, Arc::clone(&frame)));
+        Some(frame)
     }
 }
