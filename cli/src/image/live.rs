@@ -62,9 +62,12 @@ impl Look {
     }
 }
 
+/// What was observed in a frame, and by whom.
+type Queued = (SeenBy, Vec<Observation>);
+
 /// Passes observations on; the processor never waits for the printer or the memory.
 struct HandOn {
-    to: Mutex<Option<mpsc::Sender<(SeenBy, Vec<Observation>)>>>,
+    to: Mutex<Option<mpsc::Sender<Queued>>>,
     dropped: AtomicU64,
     taken: AtomicBool,
     left: Mutex<Option<u64>>,
@@ -173,7 +176,7 @@ pub(super) async fn run(
 
 /// Prints observations and writes them to memory, until there are no more.
 async fn tell(
-    mut told: mpsc::Receiver<(SeenBy, Vec<Observation>)>,
+    mut told: mpsc::Receiver<Queued>,
     remembers: Option<Updater>,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
