@@ -235,6 +235,7 @@ mod tests {
     fn noise_has_its_deviation_and_the_biases_stay_and_differ() {
         let model = Model::shipped("armar3").unwrap();
         let mut s = sensors(&model, Faults::default());
+        s.wrenches.iter_mut().for_each(|sensor| sensor.drift = Drift::new(0.0, &mut sensor.rng));
         let (position, velocity) = (vec![0.5; model.joints().len()], vec![0.0; model.joints().len()]);
         let mut sample = Sample::resting(&model, position.clone());
         let (mut sums, mut squares, mut angles) = ([0.0; 2], [0.0; 2], 0.0);

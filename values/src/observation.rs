@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
 
 use crate::frame_change::FrameChange;
 use crate::{Frame, Value, Vector};
@@ -69,6 +70,17 @@ impl Observation {
     pub fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
         self.attributes.insert(name.into(), value.into());
         self
+    }
+
+    /// For people and other programs: the attributes, `class`, `confidence`, and of a place `position` and `frame`.
+    pub fn to_json(&self) -> Json {
+        let mut said = Value::Map(self.attributes.clone()).to_json();
+        (said["class"], said["confidence"]) = (self.class.as_str().into(), self.confidence.into());
+        if let Some(ObservedPlace { position, .. }) = &self.place {
+            (said["position"], said["frame"]) =
+                (position.components.to_vec().into(), position.frame.0.clone().into());
+        }
+        said
     }
 
     /// The same with all that is expressed in `from` expressed in `to`; `to_from_from` is the pose of `from` in `to`.

@@ -65,6 +65,12 @@ pub fn circle(image: &mut RgbImage, center: &Point2<f64>, radius: f64, color: [u
     polygon(image, &corners, color);
 }
 
+/// Draws a mark of at least 3 px around a position.
+pub fn mark(image: &mut RgbImage, at: &Point2<f64>, radius: f64) {
+    circle(image, at, radius.max(3.0), [255, 255, 0]);
+    cross(image, at, 3.0, [255, 255, 0]);
+}
+
 /// Draws the border of a region.
 pub fn region(image: &mut RgbImage, region: &Region, color: [u8; 3]) {
     let (x0, y0) = (f64::from(region.x), f64::from(region.y));

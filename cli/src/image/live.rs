@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use armarium_memoryx::RemoteMemory;
 use armarium_memoryx::updater::Updater;
-use armarium_values::{Observation, Value};
+use armarium_values::Observation;
 use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
@@ -191,16 +191,7 @@ async fn tell(
 
 /// What was observed in a frame, as a line of JSON.
 fn line(by: &SeenBy, seen: &[Observation]) -> Json {
-    let one = |seen: &Observation| {
-        let mut said = Value::Map(seen.attributes.clone()).to_json();
-        (said["class"], said["confidence"]) = (seen.class.as_str().into(), seen.confidence.into());
-        if let Some(place) = &seen.place {
-            said["position"] = json!(place.position.components);
-            said["frame"] = place.position.frame.0.as_str().into();
-        }
-        said
-    };
     let mut line = json!({"provider": by.provider, "stamp_ns": by.stamp_ns});
-    line[by.processor.as_str()] = seen.iter().map(one).collect();
+    line[by.processor.as_str()] = seen.iter().map(Observation::to_json).collect();
     line
 }

@@ -7,7 +7,6 @@ use armarium_source::Source;
 use armarium_visionx::files::{images_in, read_image};
 use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
 use armarium_visionx::{ColorModel, Region, RgbImage, annotate, components};
-use nalgebra::Point2;
 
 use super::LookArgs;
 use super::album::Album;
@@ -171,12 +170,6 @@ pub(crate) fn color(text: &str) -> Result<[u8; 3], String> {
     let parts: Vec<u8> =
         text.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
     parts.try_into().map_err(|_| wrong())
-}
-
-/// Draws a mark at a position.
-pub(super) fn mark(image: &mut RgbImage, at: &Point2<f64>, radius: f64) {
-    annotate::circle(image, at, radius.max(3.0), [255, 255, 0]);
-    annotate::cross(image, at, 3.0, [255, 255, 0]);
 }
 
 #[cfg(test)]

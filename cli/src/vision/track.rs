@@ -9,7 +9,7 @@ use armarium_visionx::{RgbImage, annotate};
 
 use super::TrackArgs;
 use super::album::Album;
-use super::look::{hand_line, mark, refuse};
+use super::look::{hand_line, refuse};
 use super::report::{ErrorLine, HandLine, Tip, json, rounded};
 use super::sequence::Sequence;
 use crate::render_findings::lines;
@@ -98,7 +98,7 @@ fn one(
     if let Some(hand) = &seen.hand {
         annotate::region(image, &hand.bounding_box, [255, 40, 200]);
     }
-    seen.nodes.iter().for_each(|n| mark(image, &n.px, 3.0 + n.deviation));
+    seen.nodes.iter().for_each(|n| annotate::mark(image, &n.px, 3.0 + n.deviation));
     match album.keep(name, image) {
         Ok(()) => Ok(0),
         Err(message) => writeln!(err, "error: {message}").map(|()| 1),
