@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_runtime::chart::{HeadSection, Library, NameReference, Symbol};
+use armarium_runtime::observed::ALL;
 use armarium_source::yaml::{Entries, Node, Yaml};
 use armarium_source::{Source, Span};
 
@@ -28,8 +29,10 @@ pub(crate) fn references(
             _ => {}
         }
     }
-    let mut cases =
-        Cases { source, root: &library.root, states, ends, skills: skills(known), found: Vec::new() };
+    let root = library.charts.get(&library.root);
+    let observed = root.into_iter().flat_map(|chart| chart.observes()).map(|(name, _)| name).collect();
+    let (root, skills, found) = (&library.root, skills(known), Vec::new());
+    let mut cases = Cases { source, root, states, ends, skills, observed, found };
     cases.file(tree);
     cases.found
 }
@@ -47,6 +50,8 @@ struct Cases<'c> {
     /// Watches and outcomes by their state's path and their name.
     ends: BTreeMap<(&'c str, &'c str), BTreeSet<&'c Symbol>>,
     skills: BTreeMap<&'c str, &'c Symbol>,
+    /// What the chart observes of memory, by the names that it gives.
+    observed: BTreeSet<&'c str>,
     found: Vec<NameReference>,
 }
 
@@ -125,6 +130,22 @@ impl Cases<'_> {
         }
     }
 
+    /// What the chart observes, as it names it; or a channel that all charts share.
+    fn channel(&mut self, channel: &str, span: Span) {
+        let (name, all) = match channel.strip_suffix(ALL) {
+            Some(name) if self.observed.contains(name) => (name, true),
+            _ => (channel, false),
+        };
+        if !self.observed.contains(name) {
+            return self.add(span, Symbol::Channel { channel: channel.to_owned(), fields: Vec::new() });
+        }
+        let text = self.source.text.get(span.start..span.end).unwrap_or("");
+        let start = span.start + text.find(name).unwrap_or(0);
+        let span = if all { Span { start, end: start + name.len() } } else { span };
+        let (chart, section) = (self.root.to_owned(), HeadSection::Observe);
+        self.add(span, Symbol::Declared { chart, section, name: name.to_owned() });
+    }
+
     fn step(&mut self, step: &Node) {
         let from = Self::text(step.get("from"));
         if let Some((path, span)) = from {
@@ -149,7 +170,7 @@ impl Cases<'_> {
             }
         }
         if let Some((channel, span)) = Self::text(step.get("channel")) {
-            self.add(span, Symbol::Channel { channel: channel.to_owned(), fields: Vec::new() });
+            self.channel(channel, span);
         }
         let Some(expect) = step.get("expect") else { return };
         for state in expect.get("active").map_or(&[][..], Node::items) {

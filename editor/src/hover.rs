@@ -106,6 +106,13 @@ impl Workspace {
                     HeadSection::Outputs => of(&chart.outputs, "output")?,
                     HeadSection::Locals => of(&chart.locals, "local")?,
                     HeadSection::Types => format!("type `{name}`"),
+                    HeadSection::Observe => {
+                        let schema = library?.channels_of(chart, &self.catalog.channels);
+                        let of = schema.described().find(|channel| channel.name == *name)?;
+                        let (_, pattern) = chart.observes().find(|(observed, _)| observed == name)?;
+                        let text = format!("channel `{name}`: {pattern}\n\n{} ({})", of.description, of.rate);
+                        text + &list("fields", &of.fields)
+                    }
                 }
             }
             Symbol::Event { name } => {
@@ -172,6 +179,15 @@ impl Workspace {
                     }
                 }
                 text
+            }
+            Symbol::Attribute { segment, name } => {
+                let of = self.catalog.channels.segment(segment)?;
+                match (of.attributes.iter().find(|attribute| attribute.name == *name), name.as_str()) {
+                    (Some(attribute), _) => parameter(&format!("attribute of {segment}:"), attribute),
+                    (None, "confidence") => "`confidence: float`\n\nhow sure it is, 0 to 1".to_owned(),
+                    (None, "id") => "`id: string`\n\nits address in memory".to_owned(),
+                    (None, _) => return None,
+                }
             }
             Symbol::Function { name } => {
                 let function = expr::functions().find(|function| function.name == name)?;

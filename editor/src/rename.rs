@@ -272,6 +272,7 @@ fn ours(symbol: &Symbol) -> Result<(), RenameError> {
         Symbol::OfSkill { part: SkillPart::Outcome, .. } => "an outcome of a skill",
         Symbol::OfSkill { part: SkillPart::Event, .. } => "an event of a skill",
         Symbol::Channel { .. } => "a channel",
+        Symbol::Attribute { .. } => "an attribute in memory",
         Symbol::Function { .. } => "a function",
         Symbol::Outcome { name, .. } if name == "success" || name == "failure" => "a word of the language",
         _ => return Ok(()),

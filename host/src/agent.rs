@@ -110,7 +110,7 @@ async fn act(
 ) -> Result<Option<RunResult>, HostError> {
     let Backend { equipment, registry, task, observes, .. } = backend;
     let mut registry = registry.with_names(Arc::new(Names::of_agent(equipment.robot.model())));
-    let channels = Channels::new();
+    let channels = Channels::new().with_memory(observers::memory(&equipment));
     let robot = Arc::clone(&equipment.robot);
     let stop: Stop =
         Arc::new(move |what: &str| robot.stop(&format!("the skill of `{what}` does not return")));

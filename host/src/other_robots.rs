@@ -138,7 +138,8 @@ impl OtherRobots {
                 ..config.clone()
             };
             let (program, registry) = load(config, &equipment, world, network, &**console).await?;
-            let (chart, log, channels) = (program.name().to_owned(), Arc::default(), Channels::new());
+            let (chart, log) = (program.name().to_owned(), Arc::default());
+            let channels = Channels::new().with_memory(observers::memory(&equipment));
             let among = (among.peers(&spec.name), false);
             let logger = logger.of_other(&spec.name, &log);
             let executor =

@@ -124,7 +124,7 @@ async fn perform(
     let others = stage.start_other_agents(config, world, network, &mover).await?;
     let chart = program.name().to_owned();
     let logger = stage.logger(&registry, console);
-    let channels = Channels::new();
+    let channels = Channels::new().with_memory(observers::memory(equipment));
     let among = InProcess::of(&world.world, network);
     let file = (&world.world, world.file.as_deref());
     let robots =

@@ -5,13 +5,18 @@
 //! and never delays the publisher. Observers with costly computations check [`Channels::wanted`] first.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_values::Value;
+use futures::future::BoxFuture;
 use parking_lot::Mutex;
 use tokio::sync::watch;
+use tokio::task::JoinSet;
 use tokio::time::Instant;
+
+use crate::observed::ObservedPattern;
 
 /// One published value and when it was published, in the executor's (virtual) time.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +25,15 @@ pub struct ChannelSample {
     pub value: Value,
     /// When it was published.
     pub at: Instant,
+    /// How old it was then.
+    pub before: Duration,
+}
+
+impl ChannelSample {
+    /// How old the value is now: the time since it was published, and how old it was then.
+    pub fn age(&self) -> Duration {
+        self.at.elapsed().saturating_add(self.before)
+    }
 }
 
 #[derive(Debug)]
@@ -28,10 +42,39 @@ struct Channel {
     wanted: watch::Sender<usize>,
 }
 
+/// Publishes what a memory holds of patterns. This room does not know memory; who does implements it.
+pub trait ObserveMemory: Send + Sync {
+    /// Publishes the matches of these patterns with [`Channels::publish_matches`], now and at each change until the tasks are
+    /// dropped. When it returns, what memory holds at present has been published.
+    ///
+    /// # Errors
+    /// [`ObserveError`] when memory cannot be read.
+    fn observe(
+        &self,
+        patterns: Vec<ObservedPattern>,
+        channels: Channels,
+    ) -> BoxFuture<'static, Result<JoinSet<()>, ObserveError>>;
+}
+
+/// Memory cannot be observed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("memory cannot be observed: {reason}")]
+pub struct ObserveError {
+    /// Why.
+    pub reason: String,
+}
+
 /// The set of channels; clones share the same channels.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct Channels {
     by_name: Arc<Mutex<BTreeMap<String, Arc<Channel>>>>,
+    memory: Option<Arc<dyn ObserveMemory>>,
+}
+
+impl fmt::Debug for Channels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.by_name.lock().keys()).finish()
+    }
 }
 
 /// Marks a channel as read until it is dropped.
@@ -52,6 +95,51 @@ impl Channels {
         Self::default()
     }
 
+    /// The same channels, on which this memory publishes what charts observe of it.
+    #[must_use]
+    pub fn with_memory(mut self, memory: Arc<dyn ObserveMemory>) -> Self {
+        self.memory = Some(memory);
+        self
+    }
+
+    /// Publishes what memory holds of these patterns, now and at each change until the tasks are dropped. Without a memory, or
+    /// where nothing matches, the best match is absent and the list of all is empty.
+    ///
+    /// # Errors
+    /// [`ObserveError`] when memory cannot be read.
+    pub async fn observe(&self, patterns: &[ObservedPattern]) -> Result<JoinSet<()>, ObserveError> {
+        match &self.memory {
+            _ if patterns.is_empty() => {}
+            Some(memory) => return memory.observe(patterns.to_vec(), self.clone()).await,
+            None => patterns.iter().for_each(|observed| self.publish_matches(observed, None, Vec::new)),
+        }
+        Ok(JoinSet::new())
+    }
+
+    /// Publishes the matches of a pattern on those of its channels that are read: the best with its age, or that there is none;
+    /// and all, the highest confidence first, as old as the youngest of them.
+    pub fn publish_matches(
+        &self,
+        observed: &ObservedPattern,
+        best: Option<(Value, Duration)>,
+        all: impl FnOnce() -> Vec<(Value, Duration)>,
+    ) {
+        if observed.all {
+            let all = all();
+            let before = all.iter().map(|(_, age)| *age).min().unwrap_or(Duration::MAX);
+            let matches = all.into_iter().map(|(value, _)| value).collect();
+            self.replace(&observed.pattern.channel(true), Some((Value::List(matches), before)));
+        }
+        if observed.best {
+            self.replace(&observed.pattern.channel(false), best);
+        }
+    }
+
+    fn replace(&self, name: &str, sample: Option<(Value, Duration)>) {
+        let sample = sample.map(|(value, before)| ChannelSample { value, at: Instant::now(), before });
+        self.channel(name).newest.send_replace(sample);
+    }
+
     fn channel(&self, name: &str) -> Arc<Channel> {
         let mut by_name = self.by_name.lock();
         Arc::clone(by_name.entry(name.to_owned()).or_insert_with(|| {
@@ -61,8 +149,7 @@ impl Channels {
 
     /// Publishes a value now; it replaces the previous one.
     pub fn publish(&self, name: &str, value: Value) {
-        let sample = ChannelSample { value, at: Instant::now() };
-        self.channel(name).newest.send_replace(Some(sample));
+        self.replace(name, Some((value, Duration::ZERO)));
     }
 
     /// The newest sample, if any.
@@ -72,18 +159,12 @@ impl Channels {
 
     /// The newest value, or the field of it at `path`. Only the returned part is copied.
     pub fn field(&self, name: &str, path: &[String]) -> Option<Value> {
-        let channel = self.channel(name);
-        let newest = channel.newest.borrow();
-        let mut value = &newest.as_ref()?.value;
-        for part in path {
-            value = value.get(part)?;
-        }
-        Some(value.clone())
+        self.channel(name).newest.borrow().as_ref()?.value.at(path)
     }
 
-    /// Time since the last publication; `None` if nothing was published yet.
+    /// How old the newest value is; `None` if nothing was published yet.
     pub fn age(&self, name: &str) -> Option<Duration> {
-        self.channel(name).newest.borrow().as_ref().map(|sample| sample.at.elapsed())
+        self.channel(name).newest.borrow().as_ref().map(ChannelSample::age)
     }
 
     /// A receiver that wakes at each new sample.

@@ -11,7 +11,8 @@
 //! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
 //! - [`trace`]: what happened in a run;
 //! - [`skill`]: what a leaf of a chart runs, and its context while it runs;
-//! - [`channels`]: values that observers publish and watches read.
+//! - [`channels`]: values that observers publish and watches read;
+//! - [`observed`]: what charts observe of memory, as channels.
 //!
 //! This room does not know robots or memory, nor the network without the feature `remote`.
 
@@ -22,6 +23,7 @@ pub mod chart;
 pub mod engine;
 pub mod exec;
 pub mod import;
+pub mod observed;
 pub mod program;
 #[cfg(feature = "remote")]
 pub mod remote;

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use armarium_runtime::chart::{self, ChannelSchema, KnownNames, Refused, Registry};
-use armarium_runtime::skill::{NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::chart::{self, ChannelSchema, KnownNames, MemorySegment, Refused, Registry};
+use armarium_runtime::skill::{NameKind, Outcome, Parameter, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_source::{Finding, applied};
 use armarium_tests::repository;
 use armarium_values::{Type, Unit};
@@ -66,14 +66,21 @@ fn registry() -> Registry {
     registry
 }
 
+fn channels() -> ChannelSchema {
+    let wrist = Type::record([("push", Type::list(Type::quantity(Unit::N)))]);
+    let attributes = [("class", Type::String), ("pose", Type::Pose)];
+    let attributes = attributes.map(|(name, ty)| Parameter::new(name, ty, "Something.")).into();
+    let (name, description) = ("ObjectInstances".into(), "Things.".into());
+    ChannelSchema::new().with("wrist", wrist).with_segment(MemorySegment { name, description, attributes })
+}
+
 fn folder() -> PathBuf {
     repository::root().join("tests/golden")
 }
 
 /// The findings of a file, one per line, with paths relative to the folder.
 fn findings(file: &Path) -> Vec<String> {
-    let wrist = Type::record([("push", Type::list(Type::quantity(Unit::N)))]);
-    let channels = ChannelSchema::new().with("wrist", wrist);
+    let channels = channels();
     let library = chart::load(file, &[folder().join("charts")]);
     let checked = chart::check(&library, &registry(), &channels);
     let here = format!("{}/", folder().display());
@@ -114,8 +121,7 @@ fn a_wrong_chart_is_found_by_its_rule_and_its_good_twin_is_in_order() {
 
 /// A bad chart's findings, and its text with the remedies of one of them done.
 fn put_right(file: &Path) -> Vec<(Finding, Vec<Finding>)> {
-    let wrist = Type::record([("push", Type::list(Type::quantity(Unit::N)))]);
-    let channels = ChannelSchema::new().with("wrist", wrist);
+    let channels = channels();
     let check = |path: &Path| {
         let library = chart::load(path, &[folder().join("charts")]);
         chart::check(&library, &registry(), &channels).findings

@@ -209,6 +209,40 @@ impl Value {
         }
     }
 
+    /// A named component of a geometric value or a reference, as expressions read it: `x` of a vector, `position` of a pose.
+    pub fn part(&self, name: &str) -> Option<Self> {
+        let axis = |v: [f64; 3]| match name {
+            "x" => Some(Self::Float(v[0])),
+            "y" => Some(Self::Float(v[1])),
+            "z" => Some(Self::Float(v[2])),
+            _ => None,
+        };
+        match (self, name) {
+            (Self::Vector(v), "frame") => Some(v.frame.0.as_str().into()),
+            (Self::Vector(v), _) => axis(v.components),
+            (Self::Pose(p), "frame") => Some(p.frame.0.as_str().into()),
+            (Self::Pose(p), "position") => Some(p.position.into()),
+            (Self::Pose(p), "orientation") => Some(p.orientation.to_vec().into()),
+            (Self::Pose(p), _) => axis(p.position),
+            (Self::Wrench(w), "frame") => Some(w.frame.0.as_str().into()),
+            (Self::Wrench(w), "force") => Some(w.force.into()),
+            (Self::Wrench(w), "torque") => Some(w.torque.into()),
+            (Self::Reference(r), "kind") => Some(r.kind.as_str().into()),
+            (Self::Reference(r), "id") => Some(r.id.as_str().into()),
+            _ => None,
+        }
+    }
+
+    /// What is at a path of fields and of [parts](Self::part) of those; the value itself where the path is empty. Only that is
+    /// copied.
+    pub fn at(&self, path: &[String]) -> Option<Self> {
+        let Some((name, rest)) = path.split_first() else { return Some(self.clone()) };
+        match self {
+            Self::Map(fields) => fields.get(name)?.at(rest),
+            value => value.part(name)?.at(rest),
+        }
+    }
+
     /// Three numbers, from a `Vector` or a `List` of three.
     pub fn as_vector3(&self) -> Option<[f64; 3]> {
         match self {

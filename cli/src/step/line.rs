@@ -157,7 +157,7 @@ pub(super) fn apply(stepper: &mut Stepper, input: &InputLine) -> Result<(), Step
         LineInput::Event { number: Some(number), data, .. } => stepper.raise(*number, data.clone()),
         LineInput::Event { name, data, .. } => stepper.event(name, data.clone()),
         LineInput::Report { from, name, data } => stepper.report(from, name, data.clone())?,
-        LineInput::Publish { channel, value } => stepper.publish(channel, value.clone()),
+        LineInput::Publish { channel, value } => stepper.publish(channel, value.clone(), Duration::ZERO),
         LineInput::Nothing => {}
     }
     Ok(())

@@ -20,7 +20,7 @@ impl Completing<'_> {
             if in_quotes("active").is_some() {
                 return self.targets(&Cursor { path: Vec::new(), ..cursor.clone() }, scope);
             }
-            let channels = scope.library.channels(&self.workspace.catalog.channels);
+            let channels = scope.library.channels_of(scope.chart, &self.workspace.catalog.channels);
             let roots = scope.roots(&channels, event);
             if in_quotes("age").is_some() {
                 return channels.names().map(|name| Proposal::new(name, Icon::FIELD)).collect();

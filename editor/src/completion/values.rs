@@ -26,7 +26,7 @@ impl Completing<'_> {
         let start =
             self.offset - before.chars().rev().take_while(|c| dotted(*c)).map(char::len_utf8).sum::<usize>();
         let span = Span { start, end: cursor.word.end };
-        let mut proposals = self.domain(cursor);
+        let mut proposals = self.domain(cursor, quoted);
         proposals.extend(
             self.forms.words().into_iter().map(|(word, doc)| Proposal::new(word, Icon::ENUM_MEMBER).doc(doc)),
         );
@@ -37,7 +37,7 @@ impl Completing<'_> {
     }
 
     /// Names that a value may be, by what the form says that it is.
-    fn domain(&self, cursor: &Cursor) -> Vec<Proposal> {
+    fn domain(&self, cursor: &Cursor, quoted: bool) -> Vec<Proposal> {
         let forms = &self.forms;
         let mut proposals = Vec::new();
         if forms.is("skill") {
@@ -53,6 +53,14 @@ impl Completing<'_> {
                     .map_or_else(String::new, |f| f.to_string_lossy().into());
                 let insert = if self.kind == FileKind::Test { file.clone() } else { name.clone() };
                 Proposal::new(name, Icon::CLASS).detail(file).insert(insert)
+            }));
+        }
+        if forms.is("pattern") {
+            let segments = self.workspace.catalog.channels.segments();
+            proposals.extend(segments.map(|segment| {
+                let pattern = format!("{}/*/*", segment.name);
+                let insert = if quoted { pattern.clone() } else { format!("\"{pattern}\"") };
+                Proposal::new(pattern, Icon::VALUE).doc(&segment.description).insert(insert)
             }));
         }
         if forms.is("unit") {
@@ -145,7 +153,7 @@ impl Completing<'_> {
         match cursor.key() {
             Some("active" | "from") => states(),
             Some("channel") => {
-                let channels = scope.library.channels(&self.workspace.catalog.channels);
+                let channels = scope.library.channels_of(scope.chart, &self.workspace.catalog.channels);
                 let shown = |name: &str| channels.get(name).map_or_else(String::new, ToString::to_string);
                 channels.names().map(|name| Proposal::new(name, Icon::FIELD).detail(shown(name))).collect()
             }

@@ -187,10 +187,23 @@ impl ChannelDescription {
     }
 }
 
-/// The channels that charts may name: those of observers and skills, and those that charts declare.
+/// A core segment of memory, as charts observe it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MemorySegment {
+    /// Its name.
+    pub name: String,
+    /// What it holds.
+    pub description: String,
+    /// The attributes of its entities, with what they mean.
+    pub attributes: Vec<Parameter>,
+}
+
+/// What charts may name: the channels of observers and skills, those that charts declare, and the core segments of memory that
+/// have declared attributes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ChannelSchema {
     channels: BTreeMap<String, ChannelDescription>,
+    segments: BTreeMap<String, MemorySegment>,
 }
 
 impl ChannelSchema {
@@ -210,6 +223,23 @@ impl ChannelSchema {
     /// Adds a channel; one of the same name is replaced.
     pub fn add(&mut self, channel: ChannelDescription) {
         self.channels.insert(channel.name.clone(), channel);
+    }
+
+    /// The same schema with one more core segment.
+    #[must_use]
+    pub fn with_segment(mut self, segment: MemorySegment) -> Self {
+        self.segments.insert(segment.name.clone(), segment);
+        self
+    }
+
+    /// The core segment of that name, if it has declared attributes.
+    pub fn segment(&self, name: &str) -> Option<&MemorySegment> {
+        self.segments.get(name)
+    }
+
+    /// The core segments with declared attributes, ordered by name.
+    pub fn segments(&self) -> impl Iterator<Item = &MemorySegment> + Clone {
+        self.segments.values()
     }
 
     /// The type of a channel's value.

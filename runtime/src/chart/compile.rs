@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use armarium_source::on_a_large_stack;
 use armarium_source::yaml::{Named, Node};
-use armarium_source::{Finding, Findings, Remedy, code};
+use armarium_source::{Finding, Findings, Remedy, Severity, code};
 use armarium_values::{Type, Value};
 
 use super::catalog::{ChannelSchema, Registry};
-use super::channels::channels;
+use super::channels::{KnownChannels, channels};
 use super::expressions::{self, ChartNames, Scope, Site};
 use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
@@ -20,8 +20,10 @@ use super::model::{self, Chart};
 use super::names::unknown_names;
 use super::suspicious::suspicious;
 use super::symbols::{Collector, HeadSection, SkillPart, Symbol};
+use crate::observed::{MemoryPattern, ObservedPattern};
 use crate::program::{
-    Binding, Code, Entry, EventNames, Kind, Program, SourcePlace, State, StateId, Term, Transition, Watch,
+    Binding, ChannelSource, Code, Entry, EventNames, Kind, NamedChannel, Program, SourcePlace, State,
+    StateId, Term, Transition, Watch,
 };
 use crate::skill::Parameter;
 
@@ -97,18 +99,18 @@ fn explain(findings: &mut Vec<Finding>) {
     findings.retain(|f| !seems(f) || !explained.contains(&place(f)));
 }
 
-/// Compiles what is written at the states of a tree; `schema` has all channels, also those that charts declare. Names that were found are added to `collector`.
+/// Compiles what is written at the states of a tree. Names that were found are added to `collector`.
 pub(super) fn compile(
     root: &Chart,
     tree: &Tree<'_>,
     library: &Library,
-    schema: &ChannelSchema,
+    known: &KnownChannels,
     collector: Option<&Collector>,
 ) -> (Program, Vec<Finding>) {
     let event_types = event_types(library);
     let mut compiler = Compiler {
         tree,
-        names: ChartNames::new(tree, schema, collector),
+        names: ChartNames::new(tree, known, collector),
         event_types: &event_types,
         findings: Vec::new(),
         event_names: EventNames::default(),
@@ -125,13 +127,25 @@ pub(super) fn compile(
         }
         program.states.push(state);
     }
-    let Compiler { names, findings, event_names, slots, .. } = compiler;
+    let Compiler { names, mut findings, event_names, slots, .. } = compiler;
+    let (channels, read) = names.into_channels();
+    // Where an expression is wrong, it is not known what it was to read.
+    if !findings.iter().any(Finding::is_error) {
+        findings.extend(unread(tree, library, &read));
+    }
+    let observed = observed_patterns(known, &channels);
+    let held: Vec<String> =
+        observed.iter().flat_map(|o| [false, true].map(|all| o.pattern.channel(all))).collect();
+    let numbers = (0..).zip(&channels).filter(|(_, name)| held.contains(name));
+    let observed_channels = numbers.map(|(number, _)| number).collect();
     let program = Program {
         name: root.name.clone(),
         sources: tree.sources.clone(),
         instances: tree.instances.clone(),
-        channels: names.into_channels(),
-        channel_types: channel_types(schema),
+        observed,
+        observed_channels,
+        channels,
+        named_channels: named_channels(root, tree, known),
         slots,
         event_names,
         profiles: profiles(root),
@@ -438,8 +452,57 @@ fn event_types(library: &Library) -> BTreeMap<String, Type> {
     types
 }
 
-fn channel_types(schema: &ChannelSchema) -> BTreeMap<String, Type> {
-    schema.described().map(|channel| (channel.name.clone(), channel.ty.clone())).collect()
+/// The names of the charts in a tree.
+fn used_charts<'t>(tree: &'t Tree<'_>) -> BTreeSet<&'t str> {
+    (0..).zip(&tree.states).filter(|(_, state)| state.chart_root).map(|(id, _)| tree.chart_of(id)).collect()
+}
+
+/// Names under `observe` that no expression reads.
+fn unread(tree: &Tree<'_>, library: &Library, read: &BTreeSet<(String, String)>) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for chart in used_charts(tree).into_iter().filter_map(|name| library.charts.get(name)) {
+        let mut findings = Findings::new(Arc::clone(&chart.source));
+        for observed in &chart.observed {
+            let name = &observed.name;
+            if !read.contains(&(chart.name.clone(), name.text.clone())) {
+                let message = format!("no expression of the chart reads `channels.{}`", name.text);
+                let help = Some("what nobody reads is not observed".to_owned());
+                findings.add(Severity::Warning, code::UNUSED, name.span, message, help);
+                findings.remedy(Remedy::Remove(name.span));
+            }
+        }
+        found.append(&mut findings.list);
+    }
+    found
+}
+
+/// The patterns of memory that the channels of a program stand for.
+fn observed_patterns(known: &KnownChannels, channels: &[String]) -> Vec<ObservedPattern> {
+    let patterns: BTreeSet<&MemoryPattern> =
+        known.all_observed().map(|(.., observed)| &observed.pattern).collect();
+    let is_read = |pattern: &MemoryPattern, all: bool| channels.contains(&pattern.channel(all));
+    let one = |pattern: &MemoryPattern| {
+        let (best, all) = (is_read(pattern, false), is_read(pattern, true));
+        (best || all).then(|| ObservedPattern { pattern: pattern.clone(), best, all })
+    };
+    patterns.into_iter().filter_map(one).collect()
+}
+
+/// The channels as people name them who say what is on them: those that all charts share, what the chart observes, and what the
+/// charts inside it observe, as `Chart.name`.
+fn named_channels(root: &Chart, tree: &Tree<'_>, known: &KnownChannels) -> BTreeMap<String, NamedChannel> {
+    let shared = known.shared.described().map(|channel| {
+        let source = ChannelSource::Published(channel.name.clone());
+        (channel.name.clone(), NamedChannel { ty: channel.ty.clone(), source })
+    });
+    let used = used_charts(tree);
+    let observed =
+        known.all_observed().filter(|(chart, ..)| used.contains(chart)).map(|(chart, name, of)| {
+            let name = if chart == root.name { name.to_owned() } else { format!("{chart}.{name}") };
+            let source = ChannelSource::Memory { pattern: of.pattern.clone(), all: of.all };
+            (name, NamedChannel { ty: of.described.ty.clone(), source })
+        });
+    shared.chain(observed).collect()
 }
 
 fn declared_events(library: &Library) -> BTreeSet<String> {

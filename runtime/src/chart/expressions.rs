@@ -2,6 +2,7 @@
 //! what is declared.
 
 use std::cell::{Cell, RefCell};
+use std::collections::BTreeSet;
 
 use armarium_source::yaml::{Node, Yaml};
 use armarium_source::{Findings, Remedy, Source, Span, code};
@@ -10,7 +11,7 @@ use armarium_values::expr::{
 };
 use armarium_values::{Fit, Type, Value};
 
-use super::catalog::ChannelSchema;
+use super::channels::{KnownChannels, ObservedChannel};
 use super::flatten::{Inside, Tree, number};
 use super::literals::fitting;
 use super::symbols::{Collector, HeadSection, SkillPart, Symbol, parts};
@@ -25,9 +26,11 @@ pub(super) const MAX_NAMES: usize = 1000;
 #[derive(Debug)]
 pub(super) struct ChartNames<'c> {
     pub(super) tree: &'c Tree<'c>,
-    schema: &'c ChannelSchema,
+    known: &'c KnownChannels,
     /// The channels that expressions read so far; their numbers are their places.
     channels: RefCell<Vec<String>>,
+    /// What was read of that which charts observe of memory: the chart, and the name that it gives.
+    observed: RefCell<BTreeSet<(String, String)>>,
     /// How often somebody asked for what might be meant.
     asked: Cell<usize>,
     /// What the names that were found stand for, where somebody wants to know.
@@ -37,10 +40,11 @@ pub(super) struct ChartNames<'c> {
 impl<'c> ChartNames<'c> {
     pub(super) fn new(
         tree: &'c Tree<'c>,
-        schema: &'c ChannelSchema,
+        known: &'c KnownChannels,
         collector: Option<&'c Collector>,
     ) -> Self {
-        Self { tree, schema, channels: RefCell::default(), asked: Cell::default(), collector }
+        let (channels, observed, asked) = (RefCell::default(), RefCell::default(), Cell::default());
+        Self { tree, known, channels, observed, asked, collector }
     }
 
     /// Says what a name in a file stands for.
@@ -78,9 +82,9 @@ impl<'c> ChartNames<'c> {
         parts(&self.tree.sources[site.source as usize].text, at, written).pop().unwrap_or(at)
     }
 
-    /// The channels that expressions read.
-    pub(super) fn into_channels(self) -> Vec<String> {
-        self.channels.into_inner()
+    /// The channels that expressions read, and what of that which charts observe: the chart, and the name that it gives.
+    pub(super) fn into_channels(self) -> (Vec<String>, BTreeSet<(String, String)>) {
+        (self.channels.into_inner(), self.observed.into_inner())
     }
 
     /// Whether what might be meant is still looked for: a file with very many mistakes is not searched again and again.
@@ -97,16 +101,33 @@ impl<'c> ChartNames<'c> {
         self.tree.visible(from).flat_map(|state| self.tree.child_names(state, MAX_NAMES)).collect()
     }
 
-    fn channel_number(&self, name: &str) -> Result<u32, Unresolved> {
-        if self.schema.get(name).is_none() {
-            let known = || format!("channels are: {}", self.schema.names().collect::<Vec<_>>().join(", "));
+    /// The number of a channel that expressions at a state see.
+    fn channel_number(&self, at: StateId, name: &str) -> Result<u32, Unresolved> {
+        let chart = self.tree.chart_of(at);
+        if self.known.ty(chart, name).is_none() {
             let message = format!("there is no channel `{name}`");
-            let near = nearest(name, self.schema.names()).map(str::to_owned);
-            return Err(Unresolved::new(Unknown::Channel, message, near, Some(known())));
+            let names = self.known.names(chart);
+            let near = nearest(name, names.iter().copied()).map(str::to_owned);
+            let elsewhere = self.known.all_observed().find(|(_, observed, _)| *observed == name);
+            let help = match elsewhere {
+                Some((other, _, channel)) => format!(
+                    "`{other}` observes it; here, too: `observe: {{{}: \"{}\"}}`",
+                    channel.declared, channel.pattern
+                ),
+                None => format!("channels are: {}", names.join(", ")),
+            };
+            return Err(Unresolved::new(Unknown::Channel, message, near, Some(help)));
         }
+        let key = match self.known.observed(chart, name) {
+            Some(observed) => {
+                self.observed.borrow_mut().insert((chart.to_owned(), observed.declared.clone()));
+                observed.pattern.channel(observed.all)
+            }
+            None => name.to_owned(),
+        };
         let mut channels = self.channels.borrow_mut();
-        let at = channels.iter().position(|c| c == name).unwrap_or_else(|| {
-            channels.push(name.to_owned());
+        let at = channels.iter().position(|c| *c == key).unwrap_or_else(|| {
+            channels.push(key);
             channels.len() - 1
         });
         Ok(u32::try_from(at).unwrap_or(u32::MAX))
@@ -142,6 +163,14 @@ pub(super) struct Scope<'s, 'c> {
 impl<'s, 'c> Scope<'s, 'c> {
     pub(super) fn new(names: &'s ChartNames<'c>, site: &'s Site<'s>) -> Self {
         Self { names, site, found: RefCell::default() }
+    }
+}
+
+/// Where the letters of a symbol end that begins at a place: `cup_all` names `cup` and what stands behind it.
+fn end_of(place: (usize, usize), symbol: &Symbol) -> usize {
+    match symbol {
+        Symbol::Declared { section: HeadSection::Observe, name, .. } => place.1.min(place.0 + name.len()),
+        _ => place.1,
     }
 }
 
@@ -184,11 +213,12 @@ impl Environment for Scope<'_, '_> {
                 return unresolved("an event has `event.name` and `event.data`".into(), None, None);
             }
             ("channels", Some(name)) => {
-                let number = names.channel_number(name).map_err(|error| Unresolved {
+                let number = names.channel_number(self.site.state, name).map_err(|error| Unresolved {
                     near: error.near.map(|near| format!("channels.{near}")),
                     ..error
                 })?;
-                let ty = names.schema.get(name).cloned().unwrap_or(Type::Any);
+                let chart = names.tree.chart_of(self.site.state);
+                let ty = names.known.ty(chart, name).cloned().unwrap_or(Type::Any);
                 return found(Slot::Channel(number), ty, 2);
             }
             ("channels", None) => {
@@ -208,12 +238,12 @@ impl Environment for Scope<'_, '_> {
         match name {
             Found::Variable { parts, places, variable } => {
                 for (place, symbol) in places.iter().zip(self.symbols(parts, variable)) {
-                    found.extend(symbol.map(|symbol| (place.0, place.1, symbol)));
+                    found.extend(symbol.map(|symbol| (place.0, end_of(*place, &symbol), symbol)));
                 }
             }
             Found::Channel { name, place } => {
-                let symbol = Symbol::Channel { channel: name.to_owned(), fields: Vec::new() };
-                found.push((place.0, place.1, symbol));
+                let symbol = self.channel_symbol(name);
+                found.push((place.0, end_of(place, &symbol), symbol));
             }
             Found::State { path, place } => {
                 let parts: Vec<&str> = path.split('.').collect();
@@ -231,7 +261,7 @@ impl Environment for Scope<'_, '_> {
     }
 
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
-        self.names.channel_number(name)
+        self.names.channel_number(self.site.state, name)
     }
 
     fn state(&self, path: &str) -> Result<u32, Unresolved> {
@@ -247,7 +277,7 @@ impl Environment for Scope<'_, '_> {
     }
 }
 
-impl Scope<'_, '_> {
+impl<'c> Scope<'_, 'c> {
     /// The constants of other languages.
     fn constant(name: &str) -> Option<&'static str> {
         match name {
@@ -269,6 +299,12 @@ impl Scope<'_, '_> {
         if let Some(section) = HeadSection::of(parts[0]) {
             let (chart, name) = (names.tree.chart_of(state).to_owned(), parts[1].to_owned());
             symbols[1] = Some(Symbol::Declared { chart, section, name });
+        } else if let Some(of) = self.observed(parts) {
+            symbols[1] = Some(self.channel_symbol(parts[1]));
+            if let (Some(name), false) = (parts.get(2), of.all) {
+                let (segment, name) = (of.pattern.segment.clone(), (*name).to_owned());
+                symbols[2] = Some(Symbol::Attribute { segment, name });
+            }
         } else if parts[0] == "channels" {
             for (at, symbol) in symbols.iter_mut().enumerate().skip(1) {
                 let fields = parts[2..=at.max(1)].iter().map(|part| (*part).to_owned()).collect();
@@ -298,6 +334,24 @@ impl Scope<'_, '_> {
         symbols
     }
 
+    /// What of memory a dotted name reads: `channels.cup.pose`.
+    fn observed(&self, parts: &[&str]) -> Option<&'c ObservedChannel> {
+        let ["channels", name, ..] = parts else { return None };
+        self.names.known.observed(self.names.tree.chart_of(self.site.state), name)
+    }
+
+    /// What the name of a channel stands for: what the chart declares under `observe`, or a channel that all charts share.
+    fn channel_symbol(&self, name: &str) -> Symbol {
+        let chart = self.names.tree.chart_of(self.site.state);
+        match self.names.known.observed(chart, name) {
+            Some(observed) => {
+                let (chart, name) = (chart.to_owned(), observed.declared.clone());
+                Symbol::Declared { chart, section: HeadSection::Observe, name }
+            }
+            None => Symbol::Channel { channel: name.to_owned(), fields: Vec::new() },
+        }
+    }
+
     /// Where a name is known that was written without what is before it.
     fn section_of(&self, name: &str) -> Option<&'static str> {
         let instance = self.names.tree.instance(self.site.state);
@@ -306,7 +360,8 @@ impl Scope<'_, '_> {
         let has =
             |variables: &[crate::program::Variable]| variables.iter().any(|v| v.declaration.name == name);
         let declared = sections.into_iter().find(|(_, variables)| has(variables)).map(|(section, _)| section);
-        declared.or_else(|| self.names.schema.get(name).map(|_| "channels"))
+        let chart = self.names.tree.chart_of(self.site.state);
+        declared.or_else(|| self.names.known.ty(chart, name).map(|_| "channels"))
     }
 
     fn output(&self, path: &[&str]) -> Result<Variable, Unresolved> {

@@ -84,6 +84,11 @@ pub(super) const CHART: &[FormKey] = &[
         "Channels that the chart's own skills publish, with what their values are: `battery: {type: {volts: {type: float, unit: V}}}`.",
         || json!({"type": "object", "additionalProperties": {"anyOf": [refer("type"), object(CHANNEL)]}}),
     ),
+    FormKey::new(
+        "observe",
+        "What the chart observes of memory, as channels: `cup: \"ObjectInstances/*/cup*\"`.",
+        || json!({"type": "object", "additionalProperties": refer("pattern")}),
+    ),
     FormKey::new("profiles", "Other defaults of inputs, chosen by `run --profile`.", map),
     FormKey::new("probes", "What judges a simulated run, unless its world says it: `[grasp, force]`.", texts),
     LIMIT_SECTION,

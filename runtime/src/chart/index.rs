@@ -7,6 +7,7 @@ use armarium_source::on_a_large_stack;
 use armarium_source::yaml::Named;
 
 use super::catalog::{ChannelSchema, Registry};
+use super::channels::channels;
 use super::compile::compile;
 use super::flatten::{Inside, Tree, flatten};
 use super::library::Library;
@@ -22,7 +23,7 @@ pub fn index(library: &Library, registry: &Registry, schema: &ChannelSchema) -> 
         let collector = Collector::default();
         if let Some(root) = library.charts.get(&library.root) {
             let (tree, _) = flatten(root, library, registry);
-            let channels = library.channels(schema);
+            let (channels, _) = channels(library, schema);
             let (program, _) = compile(root, &tree, library, &channels, Some(&collector));
             let mut indexing = Indexing { tree: &tree, program: &program, collector: &collector };
             library.charts.values().for_each(|chart| indexing.head(chart));

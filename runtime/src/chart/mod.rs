@@ -28,7 +28,9 @@ mod suspicious;
 mod symbols;
 mod targets;
 
-pub use catalog::{ChannelDescription, ChannelSchema, KnownNames, Refused, Registry, UnknownName};
+pub use catalog::{
+    ChannelDescription, ChannelSchema, KnownNames, MemorySegment, Refused, Registry, UnknownName,
+};
 pub use compile::{Checked, check};
 pub use index::index;
 pub use library::{Library, files, load, load_from, load_text};

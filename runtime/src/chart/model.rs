@@ -9,6 +9,7 @@ use armarium_values::Type;
 
 use super::catalog::ChannelDescription;
 use super::symbols::HeadSection;
+use crate::observed::MemoryPattern;
 use crate::skill::{DeclaredAt, Limits, Parameter, SkillManifest};
 
 /// One chart file.
@@ -32,6 +33,7 @@ pub struct Chart {
     pub(crate) type_uses: Vec<Named>,
     pub(crate) events: Vec<(Named, Option<Type>)>,
     pub(crate) channels: Vec<DeclaredChannel>,
+    pub(crate) observed: Vec<WrittenPattern>,
     pub(crate) profiles: BTreeMap<String, Vec<(Named, Node)>>,
     pub(crate) probes: Vec<Named>,
     /// Where the defaults of inputs and locals stand, by the name.
@@ -53,6 +55,11 @@ impl Chart {
     /// The channels of its own skills that it declares.
     pub fn channels(&self) -> impl Iterator<Item = &ChannelDescription> {
         self.channels.iter().map(|channel| &channel.described)
+    }
+
+    /// What it observes of memory, by the names that it gives.
+    pub fn observes(&self) -> impl Iterator<Item = (&str, &MemoryPattern)> {
+        self.observed.iter().map(|observed| (observed.name.text.as_str(), &observed.pattern))
     }
 
     /// The chart seen from outside, like a skill: its inputs, its outputs, and the outcomes of its final states.
@@ -105,6 +112,15 @@ pub(crate) struct DeclaredChannel {
     /// The names of its fields.
     pub(crate) fields: Vec<Named>,
     pub(crate) described: ChannelDescription,
+}
+
+/// A pattern of memory in a chart's head.
+#[derive(Debug)]
+pub(crate) struct WrittenPattern {
+    pub(crate) name: Named,
+    /// Where the pattern stands.
+    pub(crate) span: Span,
+    pub(crate) pattern: MemoryPattern,
 }
 
 #[derive(Debug)]

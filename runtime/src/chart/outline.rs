@@ -88,6 +88,8 @@ impl Outline {
         let mut outline = Self { states: Vec::new(), transitions: Vec::new() };
         let mut models = Vec::new();
         outline.add(&chart.root, None, &mut models);
+        let observed = chart.observes().map(|(name, pattern)| format!("observe {name}: {pattern}"));
+        outline.states[0].activities.splice(0..0, observed);
         for (at, model) in models.iter().enumerate() {
             outline.connect(at, model);
         }

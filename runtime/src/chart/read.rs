@@ -9,9 +9,10 @@ use armarium_values::{Type, Unit};
 
 use super::catalog::ChannelDescription;
 use super::literals::{literal, negative_time};
-use super::model::{Chart, DeclaredChannel, WrittenKind};
+use super::model::{Chart, DeclaredChannel, WrittenKind, WrittenPattern};
 use super::symbols::HeadSection;
 use super::{foreign, forms};
+use crate::observed::{MAX_OBSERVED, MemoryPattern};
 use crate::skill::{Limits, Parameter};
 
 /// Deepest nesting of states.
@@ -197,6 +198,7 @@ impl ChartReader<'_> {
         let locals = self.declarations(entries, "locals");
         let events = self.events(entries);
         let channels = self.channels(entries);
+        let observed = self.observed(entries);
         let profiles = self.profiles(entries, &inputs);
         let probes = get(entries, "probes").map_or(&[][..], Node::items);
         let probes = probes.iter().filter_map(|node| self.text(node)).collect();
@@ -219,6 +221,7 @@ impl ChartReader<'_> {
             type_uses,
             events,
             channels,
+            observed,
             profiles,
             probes,
             defaults: defaults(entries),
@@ -285,6 +288,42 @@ impl ChartReader<'_> {
             channels.push(DeclaredChannel { name: name.clone(), fields, described });
         }
         channels
+    }
+
+    /// What the chart observes of memory: a name and a pattern of addresses.
+    fn observed(&mut self, entries: &Entries) -> Vec<WrittenPattern> {
+        let Some(node) = get(entries, "observe") else { return Vec::new() };
+        let mut observed = Vec::new();
+        for (name, node) in self.entries(node) {
+            self.name(name);
+            let Some(text) = self.text(node) else { continue };
+            if observed.len() >= MAX_OBSERVED {
+                let message = format!("a chart observes at most {MAX_OBSERVED} patterns");
+                self.error(code::LIMIT, name.span, message);
+                break;
+            }
+            match text.text.parse::<MemoryPattern>() {
+                Ok(pattern) => observed.push(WrittenPattern { name: name.clone(), span: node.span, pattern }),
+                Err(error) => {
+                    let parts: Vec<&str> = text.text.split('/').filter(|part| !part.is_empty()).collect();
+                    let meant = match parts.as_slice() {
+                        [segment] => Some(format!("{segment}/*/*")),
+                        [segment, entity] => Some(format!("{segment}/*/{entity}")),
+                        _ => None,
+                    };
+                    let meant = meant.filter(|meant| meant.parse::<MemoryPattern>().is_ok());
+                    let help = meant.as_ref().map_or_else(
+                        || "`*` stands for any characters: `ObjectInstances/*/cup*`".to_owned(),
+                        |meant| format!("write `{meant}`: `*` stands for any characters"),
+                    );
+                    self.findings.error_help(code::FORM, node.span, error.to_string(), Some(help));
+                    if let Some(meant) = meant {
+                        self.findings.remedy(Remedy::replace(node.span, format!("\"{meant}\"")));
+                    }
+                }
+            }
+        }
+        observed
     }
 
     fn declare_types(&mut self, entries: &Entries) {
@@ -463,7 +502,7 @@ fn declared(entries: &Entries) -> Vec<(HeadSection, Named)> {
         Some(Yaml::Map(names)) => names.iter().map(|(name, _)| (section, name.clone())).collect(),
         _ => Vec::new(),
     };
-    [HeadSection::Inputs, HeadSection::Outputs, HeadSection::Locals, HeadSection::Types]
+    [HeadSection::Inputs, HeadSection::Outputs, HeadSection::Locals, HeadSection::Types, HeadSection::Observe]
         .into_iter()
         .flat_map(of)
         .collect()

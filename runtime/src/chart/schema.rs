@@ -38,6 +38,7 @@ pub fn schema(registry: &Registry) -> Json {
         "outcome": text("The name of an outcome: `success`, `failure`, or one of your own."),
         "event": text("The name of an event."),
         "type": text("A type: `float`, `list<float>`, `Pose`, or one that the chart declares."),
+        "pattern": text("Addresses in memory: `segment/provider/entity`, with `*` for any characters."),
         "unit": text("An SI unit: `N`, `m/s`."),
         "condition": {"type": ["string", "boolean"], "description": "An expression in CEL."},
         "targets": {

@@ -74,6 +74,13 @@ pub enum Symbol {
         /// The names of the fields down to the one that is meant.
         fields: Vec<String>,
     },
+    /// An attribute of the entities of a core segment of memory.
+    Attribute {
+        /// The core segment.
+        segment: String,
+        /// Its name.
+        name: String,
+    },
     /// A function of expressions.
     Function {
         /// Its name.
@@ -92,6 +99,8 @@ pub enum HeadSection {
     Locals,
     /// `types`.
     Types,
+    /// `observe`.
+    Observe,
 }
 
 impl HeadSection {
@@ -103,6 +112,7 @@ impl HeadSection {
             Self::Outputs => "outputs",
             Self::Locals => "locals",
             Self::Types => "types",
+            Self::Observe => "observe",
         }
     }
 
@@ -138,6 +148,7 @@ impl Symbol {
             | Self::Watch { name, .. }
             | Self::Outcome { name, .. }
             | Self::OfSkill { name, .. }
+            | Self::Attribute { name, .. }
             | Self::Function { name } => name,
             Self::State { path, .. } => path.rsplit('.').next().unwrap_or(path),
             Self::Channel { channel, fields } => fields.last().unwrap_or(channel),

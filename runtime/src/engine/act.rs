@@ -167,7 +167,7 @@ impl Engine {
             }
             Action::If { condition, then, otherwise } => {
                 let view = self.view(turn);
-                let holds = condition.expr.test(&view);
+                let holds = turn.program.test(condition, &view);
                 let holds = holds.map_err(|e| Failed::new(e.message, turn.program.place(condition.place)))?;
                 return Ok(self.act(if holds { then } else { otherwise }, state, turn));
             }

@@ -281,7 +281,7 @@ impl Engine {
         let Some(code) = &t.guard else { return true };
         let view =
             RunContext { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors };
-        match code.expr.test(&view) {
+        match turn.program.test(code, &view) {
             Ok(holds) => holds,
             Err(error) => {
                 self.error(t.source, &error.message, code.place, turn);

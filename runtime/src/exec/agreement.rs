@@ -182,7 +182,7 @@ fn stepped(program: &Arc<Program>, script: &[(Duration, ExternalInput)]) -> Opti
             match (what, what.and_then(published)) {
                 (None, _) => return Some(std::mem::take(&mut stepper.trace)),
                 (Some(ExternalInput::Event(name)), _) => stepper.event(name, Value::Null),
-                (_, Some((channel, value))) => stepper.publish(channel, value),
+                (_, Some((channel, value))) => stepper.publish(channel, value, Duration::ZERO),
                 _ => {}
             }
         }

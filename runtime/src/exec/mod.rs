@@ -21,6 +21,7 @@ use armarium_values::Value;
 use futures::future::BoxFuture;
 use parking_lot::Mutex;
 use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
@@ -220,10 +221,19 @@ impl Executor {
 
     /// Runs the chart to its end. Dropping the future cancels and aborts all skills.
     pub async fn run(mut self) -> RunResult {
+        // What memory holds is there when the chart starts, and is kept up to date until the run ends.
+        let observing = self.channels.observe(self.engine.program().observed()).await;
         self.began = Instant::now();
         self.watchdog.start();
         let subscription = self.subscribers.join(Arc::clone(self.engine.program()), self.controller());
         self.turn(None);
+        let _observing = match observing {
+            Ok(tasks) => tasks,
+            Err(error) => {
+                self.turn(Some(Input::Abort { reason: error.to_string() }));
+                JoinSet::new()
+            }
+        };
         let mut stopping = false;
         let stop = self.stop.clone();
         loop {
@@ -463,5 +473,7 @@ async fn until(deadline: Option<Instant>) {
 
 #[cfg(test)]
 mod agreement;
+#[cfg(test)]
+mod observed_tests;
 #[cfg(test)]
 mod tests;

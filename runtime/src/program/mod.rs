@@ -15,9 +15,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_source::{Source, suggest};
-use armarium_values::expr::Expr;
+use armarium_values::expr::{EvalContext, EvalError, Expr};
 use armarium_values::{ConvertError, Type, Value};
 
+use crate::observed::{MemoryPattern, ObservedPattern};
 use crate::skill::{Limits, Parameter, SkillManifest};
 
 pub(crate) use tables::{
@@ -57,8 +58,12 @@ pub struct Program {
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
     /// The data types of the events that declare one.
     pub(crate) event_types: BTreeMap<String, Type>,
-    /// The types of all channels that its charts know.
-    pub(crate) channel_types: BTreeMap<String, Type>,
+    /// What its charts observe of memory.
+    pub(crate) observed: Vec<ObservedPattern>,
+    /// The channels that hold it.
+    pub(crate) observed_channels: BTreeSet<u32>,
+    /// The channels by the names under which people say what is on them.
+    pub(crate) named_channels: BTreeMap<String, NamedChannel>,
     /// The events from outside that charts declare.
     pub(crate) declared_events: BTreeSet<String>,
 }
@@ -67,6 +72,22 @@ impl fmt::Debug for Program {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Program({}, {} states)", self.name, self.states.len())
     }
+}
+
+/// A channel under the name that people use.
+#[derive(Clone, Debug)]
+pub(crate) struct NamedChannel {
+    pub(crate) ty: Type,
+    pub(crate) source: ChannelSource,
+}
+
+/// Who publishes a channel.
+#[derive(Clone, Debug)]
+pub(crate) enum ChannelSource {
+    /// Observers and skills, under this name.
+    Published(String),
+    /// Whoever knows memory: the best match of the pattern, or all.
+    Memory { pattern: MemoryPattern, all: bool },
 }
 
 /// One use of a chart, with its own variables.
@@ -400,6 +421,23 @@ impl Program {
     /// The channels that expressions read; a channel's number is its index here.
     pub fn channels(&self) -> &[String] {
         &self.channels
+    }
+
+    /// What its charts observe of memory, and read.
+    pub fn observed(&self) -> &[ObservedPattern] {
+        &self.observed
+    }
+
+    /// Tests a condition of a guard or an action. It is false where it reads what memory knows nothing of.
+    ///
+    /// # Errors
+    /// [`EvalError`] for every other failure.
+    pub(crate) fn test(&self, code: &Code, context: &impl EvalContext) -> Result<bool, EvalError> {
+        let observed = |channel: &u32| self.observed_channels.contains(channel);
+        match code.expr.test(context) {
+            Err(error) if error.absent && code.expr.reads().channels.iter().any(observed) => Ok(false),
+            tested => tested,
+        }
     }
 
     /// The names of the profiles.

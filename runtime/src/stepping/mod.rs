@@ -16,7 +16,8 @@ use armarium_values::Value;
 
 use crate::agenda::Agenda;
 use crate::engine::{Effect, Engine, Input, RunResult, Sensors};
-use crate::program::{EventId, Kind, Program, StateId};
+use crate::observed::told;
+use crate::program::{ChannelSource, EventId, Kind, Program, StateId};
 use crate::skill::{Failure, InputError, Outcome, SkillManifest, SkillResult};
 use crate::trace::TraceItem;
 
@@ -82,21 +83,33 @@ pub struct Sent {
     pub data: Value,
 }
 
-/// The newest values of channels and when they were published.
+/// The newest values of channels, when they were published, and how old they were then.
 #[derive(Debug, Default)]
 struct ChannelValues {
     names: Vec<String>,
-    values: BTreeMap<u32, (Value, Duration)>,
+    values: BTreeMap<u32, (Value, Duration, Duration)>,
     now: Duration,
+}
+
+impl ChannelValues {
+    /// Replaces the value of a channel. Returns the channel's number, if an expression reads it.
+    fn replace(&mut self, name: &str, sample: Option<(Value, Duration)>) -> Option<u32> {
+        let at = self.names.iter().position(|n| n == name).and_then(|at| u32::try_from(at).ok())?;
+        match sample {
+            Some((value, age)) => self.values.insert(at, (value, self.now, age)),
+            None => self.values.remove(&at),
+        };
+        Some(at)
+    }
 }
 
 impl Sensors for ChannelValues {
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
-        let (value, _) = self.values.get(&channel)?;
-        path.iter().try_fold(value, |value, field| value.get(field)).cloned()
+        self.values.get(&channel)?.0.at(path)
     }
     fn age(&self, channel: u32) -> Option<f64> {
-        self.values.get(&channel).map(|(_, at)| self.now.saturating_sub(*at).as_secs_f64())
+        let (_, at, age) = self.values.get(&channel)?;
+        Some(self.now.saturating_sub(*at).saturating_add(*age).as_secs_f64())
     }
 }
 
@@ -133,7 +146,12 @@ impl Stepper {
         given: &BTreeMap<String, Value>,
         profile: Option<&str>,
     ) -> Result<Self, InputError> {
-        let board = ChannelValues { names: program.channels().to_vec(), ..ChannelValues::default() };
+        let mut board = ChannelValues { names: program.channels().to_vec(), ..ChannelValues::default() };
+        // Memory knows nothing yet.
+        for observed in program.observed() {
+            let nothing = (Value::List(Vec::new()), Duration::MAX);
+            board.replace(&observed.pattern.channel(true), Some(nothing));
+        }
         let (labels, by_path) = labels(&program);
         Ok(Self {
             engine: Engine::new(program, given, profile)?,
@@ -204,14 +222,28 @@ impl Stepper {
         Ok(())
     }
 
-    /// Publishes a value on a channel. Channels that no expression reads are ignored.
-    pub fn publish(&mut self, channel: &str, value: Value) {
-        if let Some(at) = self.board.names.iter().position(|n| n == channel) {
-            let at = u32::try_from(at).unwrap_or(u32::MAX);
-            self.board.values.insert(at, (value, self.board.now));
-            self.agenda.published(at);
-            self.settle();
+    /// Publishes a value on a channel; what the chart observes of memory is given by the name that the chart uses, that of a chart
+    /// inside it as `Chart.name`. The value is then `age` old. Channels that no expression reads are ignored.
+    pub fn publish(&mut self, channel: &str, value: Value, age: Duration) {
+        let program = Arc::clone(self.engine.program());
+        let samples = match program.named_channels.get(channel).map(|named| &named.source) {
+            Some(ChannelSource::Memory { pattern, all }) => {
+                let (best, matches) = told(value, *all);
+                let age_of_all = if matches.is_empty() { Duration::MAX } else { age };
+                vec![
+                    (pattern.channel(false), best.map(|best| (best, age))),
+                    (pattern.channel(true), Some((Value::List(matches), age_of_all))),
+                ]
+            }
+            Some(ChannelSource::Published(name)) => vec![(name.clone(), Some((value, age)))],
+            None => Vec::new(),
+        };
+        for (name, sample) in samples {
+            if let Some(at) = self.board.replace(&name, sample) {
+                self.agenda.published(at);
+            }
         }
+        self.settle();
     }
 
     /// Advances the time: timers expire and watches hold.

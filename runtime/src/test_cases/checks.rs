@@ -12,7 +12,7 @@ use serde_json::Value as Json;
 
 use super::{TestFile, stand_in};
 use crate::chart::{self, ChannelSchema, Registry, unit_of_time};
-use crate::program::{EventRefused, Kind, Program, StateId};
+use crate::program::{ChannelSource, EventRefused, Kind, NamedChannel, Program, StateId};
 use crate::skill::{Parameter, SkillManifest};
 use crate::stepping::labels;
 
@@ -330,6 +330,7 @@ impl Check<'_> {
 
     fn step(&mut self, step: &Node) {
         self.time(step.get("after"));
+        self.time(step.get("age"));
         let from = text(step.get("from")).and_then(|(span, name)| self.state(span, name));
         match (text(step.get("event")), step.get("from")) {
             (Some((span, event)), None) => self.event(span, event, step.get("data")),
@@ -342,9 +343,9 @@ impl Check<'_> {
         }
         if let Some((span, channel)) = text(step.get("channel")) {
             let program = self.program;
-            let known = &program.channel_types;
+            let known = &program.named_channels;
             match (known.get(channel), step.get("value")) {
-                (Some(ty), Some(value)) => self.channel_value(value, ty),
+                (Some(named), Some(value)) => self.channel_value(value, named),
                 (Some(_), None) => {}
                 (None, _) => {
                     let names = known.keys().map(String::as_str);
@@ -357,9 +358,21 @@ impl Check<'_> {
         }
     }
 
-    /// A channel's value may leave fields out; what is there must fit.
-    fn channel_value(&mut self, node: &Node, ty: &Type) {
+    /// A channel's value, which of what is observed may be nothing, or a list of all matches.
+    fn channel_value(&mut self, node: &Node, channel: &NamedChannel) {
+        match (&channel.ty, &node.value) {
+            (_, Yaml::Null) if matches!(channel.source, ChannelSource::Memory { .. }) => {}
+            (Type::List(of), Yaml::List(items)) => items.iter().for_each(|item| self.fields(item, of)),
+            (ty, _) => self.fields(node, ty),
+        }
+    }
+
+    /// A value may leave fields out; what is there must fit.
+    fn fields(&mut self, node: &Node, ty: &Type) {
         let Type::Record(fields) = ty else { return self.value(node, ty) };
+        if !matches!(node.value, Yaml::Map(_)) {
+            return self.value(node, ty);
+        }
         for (name, value) in entries(Some(node)) {
             match fields.get(&name.text) {
                 Some(ty) => self.value(value, ty),

@@ -81,8 +81,10 @@ form! {
         pub data: Json = Json::Null;
         /// A channel that has a new value.
         pub channel: Option<String> = None;
-        /// The channel's value.
+        /// The channel's value; of what the chart observes of memory, `null` is nothing.
         pub value: Json = Json::Null;
+        /// How old the value is then, s.
+        pub age: f64 = 0.0, Rule::number("s", 0.0, 1e9);
         /// What is expected then.
         pub expect: Option<Expect> = None;
     }

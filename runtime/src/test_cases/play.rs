@@ -218,11 +218,12 @@ impl Player<'_> {
             (None, _) => {}
         }
         if let Some(channel) = &step.channel {
-            let declared = self.program.channel_types.get(channel);
-            let value = declared
-                .map_or_else(|| Ok(Value::from_json(&step.value)), |ty| stand_in::published(ty, &step.value));
+            let value = match self.program.named_channels.get(channel) {
+                Some(named) => stand_in::published(named, &step.value),
+                None => Ok(Value::from_json(&step.value)),
+            };
             let value = value.map_err(|why| CaseError::Channel { channel: channel.clone(), why })?;
-            self.stepper.publish(channel, value);
+            self.stepper.publish(channel, value, duration(step.age));
         }
         self.advance(Duration::ZERO)?;
         step.expect.as_ref().map_or(Ok(()), |expect| self.compare(expect))

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use armarium_values::{ConvertError, Frame, Pose, Reference, Type, Value, Vector, Wrench};
 use serde_json::Value as Json;
 
+use crate::program::{ChannelSource, NamedChannel};
+
 /// Why a script's value is none of the declared type.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -31,11 +33,21 @@ pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, StandInError> {
     Ok(ty.convert(value)?)
 }
 
-/// A script's value as that of a channel, whose fields may be left out.
+/// A script's value as that of a channel, whose fields may be left out. Memory may hold nothing.
 ///
 /// # Errors
 /// [`StandInError`] when a field is none of its type.
-pub(super) fn published(ty: &Type, json: &Json) -> Result<Value, StandInError> {
+pub(super) fn published(channel: &NamedChannel, json: &Json) -> Result<Value, StandInError> {
+    match (&channel.ty, json) {
+        (_, Json::Null) if matches!(channel.source, ChannelSource::Memory { .. }) => Ok(Value::Null),
+        (Type::List(of), Json::Array(items)) => {
+            Ok(Value::List(items.iter().map(|item| fields(of, item)).collect::<Result<_, _>>()?))
+        }
+        (ty, json) => fields(ty, json),
+    }
+}
+
+fn fields(ty: &Type, json: &Json) -> Result<Value, StandInError> {
     let (Type::Record(types), Json::Object(fields)) = (ty, json) else { return read(ty, json) };
     let field = |(name, json): (&String, &Json)| {
         let value = types.get(name).map_or_else(|| Ok(Value::from_json(json)), |ty| read(ty, json));

@@ -1,24 +1,38 @@
-//! Observers: tasks that publish sensor data on channels, which charts watch and skills read; and one that tells the robot what
-//! memory knows of its surroundings.
+//! Observers: tasks that publish sensor data on channels, which charts watch and skills read; what publishes what charts observe of
+//! memory; and one that tells the robot what memory knows of its surroundings.
 //!
 //! [`channels`] describes them, with fields, units and rates; `armarium channels` prints it.
 
 mod arrival;
 mod hand;
+mod memory;
 mod surroundings;
 mod wrist;
 
+use armarium_memoryx::{Attribute, SegmentSchema, core_segments};
 use armarium_runtime::channels::Channels;
-use armarium_runtime::chart::{ChannelDescription, ChannelSchema};
+use armarium_runtime::chart::{ChannelDescription, ChannelSchema, MemorySegment};
 use armarium_runtime::skill::Parameter;
 use armarium_values::{Type, Unit};
 use tokio::task::JoinHandle;
 
 use crate::equipment::Equipment;
 
-/// The channels that the observers and skills of this room publish.
+pub use memory::memory;
+
+/// The channels that the observers and skills of this room publish, and the core segments of memory that charts can observe.
 pub fn channels() -> ChannelSchema {
-    [hand(), motion(), wrist()].into_iter().collect()
+    let schema: ChannelSchema = [hand(), motion(), wrist()].into_iter().collect();
+    core_segments().into_values().fold(schema, |schema, segment| schema.with_segment(described(segment)))
+}
+
+fn described(segment: SegmentSchema) -> MemorySegment {
+    let attribute = |of: Attribute| Parameter::new(&of.name, of.ty, &of.description);
+    MemorySegment {
+        name: segment.segment,
+        description: segment.description,
+        attributes: segment.attributes.into_iter().map(attribute).collect(),
+    }
 }
 
 fn hand() -> ChannelDescription {

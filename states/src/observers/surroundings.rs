@@ -9,12 +9,15 @@ use tokio::sync::broadcast::error::RecvError;
 use crate::equipment::Equipment;
 use crate::places::places;
 
+/// The core segment of agents.
+pub(super) const AGENTS: &str = "AgentInstances";
+
 /// Passes places in memory on to the robot, and the pose of its root frame on to the frames, now and whenever they change.
 pub(super) async fn observe(equipment: Equipment) {
     let mut updates = equipment.memory.subscribe();
     let mut known: Option<Vec<KnownBox>> = None;
     loop {
-        if let Ok(agents) = equipment.memory.segment("AgentInstances").await {
+        if let Ok(agents) = equipment.memory.segment(AGENTS).await {
             agents.iter().for_each(|agent| stand(&equipment, agent));
         }
         match places(equipment.remembered()).await {
@@ -31,7 +34,7 @@ pub(super) async fn observe(equipment: Equipment) {
         }
         loop {
             match updates.recv().await {
-                Ok(update) if !["EnvironmentModels", "AgentInstances"].contains(&update.id.segment()) => {}
+                Ok(update) if !["EnvironmentModels", AGENTS].contains(&update.id.segment()) => {}
                 Ok(_) | Err(RecvError::Lagged(_)) => break,
                 Err(RecvError::Closed) => return,
             }
@@ -40,7 +43,7 @@ pub(super) async fn observe(equipment: Equipment) {
 }
 
 /// Tells the frames where the robot's root is, if that is what a snapshot says.
-fn stand(equipment: &Equipment, agent: &Snapshot) {
+pub(super) fn stand(equipment: &Equipment, agent: &Snapshot) {
     let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == equipment.agent)
     else {
         return;

@@ -51,6 +51,13 @@ impl Checker<'_> {
                 _ => {}
             }
         }
+        if matches!(op, Arithmetic::Add | Arithmetic::Subtract) {
+            match (ta, tb) {
+                (Type::Vector, Type::Vector) => return Ok(Type::Vector),
+                (Type::Vector, Type::Any) | (Type::Any, Type::Vector) => return Ok(Type::Any),
+                _ => {}
+            }
+        }
         let (ta, tb) = (self.number(a, ta)?, self.number(b, tb)?);
         Ok(match (op, &ta, &tb) {
             (_, Type::Any, _) | (_, _, Type::Any) => Type::Any,

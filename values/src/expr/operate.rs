@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use super::eval::{EvalError, Pos, Val};
 use super::{MAX_ITEMS, MAX_PARTS, MAX_TEXT};
-use crate::Value;
+use crate::{Value, Vector};
 
 type Result<T> = std::result::Result<T, EvalError>;
 
@@ -55,36 +55,12 @@ pub(super) fn field<'v>(of: Val<'v>, name: &str, pos: Pos) -> Result<Val<'v>> {
     let missing = || pos.error(format!("there is no `{name}` in {}", of.describe()));
     match &of {
         Val::Ref(Value::Map(fields)) => fields.get(name).map(Val::of).ok_or_else(missing),
-        Val::Ref(value) => part(value, name).map(Val::own).ok_or_else(missing),
+        Val::Ref(value) => value.part(name).map(Val::own).ok_or_else(missing),
         Val::Owned(value) => match &**value {
             Value::Map(fields) => fields.get(name).cloned().map(Val::own).ok_or_else(missing),
-            value => part(value, name).map(Val::own).ok_or_else(missing),
+            value => value.part(name).map(Val::own).ok_or_else(missing),
         },
         _ => Err(missing()),
-    }
-}
-
-/// A named component of a geometric value or a reference.
-pub(super) fn part(value: &Value, name: &str) -> Option<Value> {
-    let axis = |v: [f64; 3]| match name {
-        "x" => Some(Value::Float(v[0])),
-        "y" => Some(Value::Float(v[1])),
-        "z" => Some(Value::Float(v[2])),
-        _ => None,
-    };
-    match (value, name) {
-        (Value::Vector(v), "frame") => Some(v.frame.0.as_str().into()),
-        (Value::Vector(v), _) => axis(v.components),
-        (Value::Pose(p), "frame") => Some(p.frame.0.as_str().into()),
-        (Value::Pose(p), "position") => Some(p.position.into()),
-        (Value::Pose(p), "orientation") => Some(p.orientation.to_vec().into()),
-        (Value::Pose(p), _) => axis(p.position),
-        (Value::Wrench(w), "frame") => Some(w.frame.0.as_str().into()),
-        (Value::Wrench(w), "force") => Some(w.force.into()),
-        (Value::Wrench(w), "torque") => Some(w.torque.into()),
-        (Value::Reference(r), "kind") => Some(r.kind.as_str().into()),
-        (Value::Reference(r), "id") => Some(r.id.as_str().into()),
-        _ => None,
     }
 }
 
@@ -174,6 +150,17 @@ pub(super) fn arithmetic<'v>(op: Arithmetic, a: Val<'v>, b: Val<'v>, pos: Pos) -
             A::Divide => a / b,
             A::Remainder => a % b,
         }));
+    }
+    if let (A::Add | A::Subtract, Some(Value::Vector(x)), Some(Value::Vector(y))) =
+        (op, a.as_value(), b.as_value())
+    {
+        if x.frame != y.frame {
+            let (x, y) = (&x.frame.0, &y.frame.0);
+            return Err(pos.error(format!("a vector in the frame `{x}` and one in `{y}` do not go together")));
+        }
+        let sign = if op == A::Add { 1.0 } else { -1.0 };
+        let sum = std::array::from_fn(|axis| x.components[axis] + sign * y.components[axis]);
+        return Ok(Val::own(Value::Vector(Vector { frame: x.frame.clone(), components: sum })));
     }
     if op == A::Add {
         if let (Some(a), Some(b)) = (a.text(), b.text()) {

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::{Unit, Value};
+use crate::{Frame, Unit, Value, Vector};
 
 /// Names are looked up in one table; slot numbers are its order.
 struct Fixture(Vec<(&'static str, Type, Option<Value>)>);
@@ -154,6 +154,24 @@ fn absent_and_nan_channels_are_false() {
     fixture.0[8].2 = None;
     assert_eq!(expr.observe(&fixture), Ok(false));
     assert!(expr.test(&fixture).is_err());
+}
+
+#[test]
+fn vectors_of_one_frame_are_added_and_subtracted() {
+    let at = |frame: &str, components| Value::Vector(Vector { frame: Frame::from(frame), components });
+    let mut fixture = fixture();
+    fixture.0.push(("here", Type::Vector, Some(at("root", [1.0, 2.0, 3.0]))));
+    fixture.0.push(("there", Type::Vector, Some(at("root", [1.0, 5.0, 7.0]))));
+    fixture.0.push(("away", Type::Any, Some(at("world", [0.0; 3]))));
+    let of = |source: &str| {
+        let expr = Expr::compile(source, &fixture).unwrap_or_else(|e| panic!("{source}: {e}"));
+        expr.evaluate(&fixture).map_err(|error| error.message)
+    };
+    assert_eq!(of("norm(there - here)"), Ok(Value::Float(5.0)));
+    assert_eq!(of("(there + here).z"), Ok(Value::Float(10.0)));
+    let apart = "a vector in the frame `root` and one in `world` do not go together";
+    assert_eq!(of("here - away"), Err(apart.into()));
+    assert!(Expr::compile("here * 2", &fixture).is_err() && Expr::compile("here - 1", &fixture).is_err());
 }
 
 #[test]
