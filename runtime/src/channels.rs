@@ -102,42 +102,48 @@ impl Channels {
         self
     }
 
-    /// Publishes what memory holds of these patterns, now and at each change until the tasks are dropped. Without a memory, or
-    /// where nothing matches, the best match is absent and the list of all is empty.
+    /// Publishes what memory holds of these patterns, now and at each change until the tasks are dropped. Without a memory
+    /// nothing matches.
     ///
     /// # Errors
     /// [`ObserveError`] when memory cannot be read.
     pub async fn observe(&self, patterns: &[ObservedPattern]) -> Result<JoinSet<()>, ObserveError> {
-        match &self.memory {
-            _ if patterns.is_empty() => {}
-            Some(memory) => return memory.observe(patterns.to_vec(), self.clone()).await,
-            None => patterns.iter().for_each(|observed| self.publish_matches(observed, None, Vec::new)),
+        for observed in patterns {
+            // Nothing that an earlier run has observed.
+            self.channel(&observed.pattern.channel(false)).newest.send_replace(None);
+            self.publish_matches(observed, None, Vec::new);
         }
-        Ok(JoinSet::new())
+        match &self.memory {
+            Some(memory) if !patterns.is_empty() => memory.observe(patterns.to_vec(), self.clone()).await,
+            _ => Ok(JoinSet::new()),
+        }
     }
 
-    /// Publishes the matches of a pattern on those of its channels that are read: the best with its age, or that there is none;
-    /// and all, the highest confidence first, as old as the youngest of them.
+    /// Publishes the matches of a pattern on those of its channels that are read: the best with its age, and all, the highest
+    /// confidence first. Where the last match is gone, the channel of the best holds `Null`, and its age goes on.
     pub fn publish_matches(
         &self,
         observed: &ObservedPattern,
         best: Option<(Value, Duration)>,
-        all: impl FnOnce() -> Vec<(Value, Duration)>,
+        all: impl FnOnce() -> Vec<Value>,
     ) {
         if observed.all {
-            let all = all();
-            let before = all.iter().map(|(_, age)| *age).min().unwrap_or(Duration::MAX);
-            let matches = all.into_iter().map(|(value, _)| value).collect();
-            self.replace(&observed.pattern.channel(true), Some((Value::List(matches), before)));
+            self.replace(&observed.pattern.channel(true), Value::List(all()), Duration::ZERO);
         }
         if observed.best {
-            self.replace(&observed.pattern.channel(false), best);
+            let name = observed.pattern.channel(false);
+            match best {
+                Some((value, age)) => self.replace(&name, value, age),
+                None => self.channel(&name).newest.send_modify(|newest| {
+                    newest.iter_mut().for_each(|sample| sample.value = Value::Null);
+                }),
+            }
         }
     }
 
-    fn replace(&self, name: &str, sample: Option<(Value, Duration)>) {
-        let sample = sample.map(|(value, before)| ChannelSample { value, at: Instant::now(), before });
-        self.channel(name).newest.send_replace(sample);
+    fn replace(&self, name: &str, value: Value, before: Duration) {
+        let sample = ChannelSample { value, at: Instant::now(), before };
+        self.channel(name).newest.send_replace(Some(sample));
     }
 
     fn channel(&self, name: &str) -> Arc<Channel> {
@@ -149,7 +155,7 @@ impl Channels {
 
     /// Publishes a value now; it replaces the previous one.
     pub fn publish(&self, name: &str, value: Value) {
-        self.replace(name, Some((value, Duration::ZERO)));
+        self.replace(name, value, Duration::ZERO);
     }
 
     /// The newest sample, if any.

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_runtime::chart::{self, ChannelSchema, KnownNames, MemorySegment, Refused, Registry};
-use armarium_runtime::skill::{NameKind, Outcome, Parameter, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{
+    NameKind, Outcome, Parameter, Skill, SkillContext, SkillManifest, SkillResult,
+};
 use armarium_source::{Finding, applied};
 use armarium_tests::repository;
 use armarium_values::{Type, Unit};

@@ -261,6 +261,9 @@ impl Environment for Scope<'_, '_> {
     }
 
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
+        // How old a list of matches is: as old as the best.
+        let observed = self.names.known.observed(self.names.tree.chart_of(self.site.state), name);
+        let name = observed.map_or(name, |observed| observed.declared.as_str());
         self.names.channel_number(self.site.state, name)
     }
 

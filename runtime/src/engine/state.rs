@@ -136,16 +136,25 @@ pub(super) struct RunContext<'v> {
     pub(super) sensors: &'v dyn Sensors,
 }
 
+impl RunContext<'_> {
+    /// Whether a channel is of what charts observe of memory.
+    fn observed(&self, channel: u32) -> bool {
+        self.program.observed_channels.contains(&channel)
+    }
+}
+
 impl EvalContext for RunContext<'_> {
     #[inline]
     fn data(&self, slot: u32) -> Option<&Value> {
         self.store.data.get(slot as usize)?.as_ref()
     }
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
-        self.sensors.channel(channel, path)
+        // What memory held once and holds no more is not there.
+        self.sensors.channel(channel, path).filter(|value| !(*value == Value::Null && self.observed(channel)))
     }
     fn age(&self, channel: u32) -> Option<f64> {
-        self.sensors.age(channel)
+        let never = || (!self.observed(channel)).then_some(f64::INFINITY);
+        self.sensors.age(channel).or_else(never)
     }
     fn event_name(&self) -> Option<&str> {
         self.store.event.as_ref().map(|e| e.name(self.program))

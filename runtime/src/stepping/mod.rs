@@ -92,13 +92,14 @@ struct ChannelValues {
 }
 
 impl ChannelValues {
-    /// Replaces the value of a channel. Returns the channel's number, if an expression reads it.
+    /// Replaces the value of a channel; without one, what it held is gone, and its age goes on. Returns the channel's number, if an
+    /// expression reads it.
     fn replace(&mut self, name: &str, sample: Option<(Value, Duration)>) -> Option<u32> {
         let at = self.names.iter().position(|n| n == name).and_then(|at| u32::try_from(at).ok())?;
         match sample {
-            Some((value, age)) => self.values.insert(at, (value, self.now, age)),
-            None => self.values.remove(&at),
-        };
+            Some((value, age)) => drop(self.values.insert(at, (value, self.now, age))),
+            None => self.values.get_mut(&at).into_iter().for_each(|(value, ..)| *value = Value::Null),
+        }
         Some(at)
     }
 }
@@ -149,8 +150,8 @@ impl Stepper {
         let mut board = ChannelValues { names: program.channels().to_vec(), ..ChannelValues::default() };
         // Memory knows nothing yet.
         for observed in program.observed() {
-            let nothing = (Value::List(Vec::new()), Duration::MAX);
-            board.replace(&observed.pattern.channel(true), Some(nothing));
+            let nothing = Value::List(Vec::new());
+            board.replace(&observed.pattern.channel(true), Some((nothing, Duration::ZERO)));
         }
         let (labels, by_path) = labels(&program);
         Ok(Self {
@@ -229,10 +230,9 @@ impl Stepper {
         let samples = match program.named_channels.get(channel).map(|named| &named.source) {
             Some(ChannelSource::Memory { pattern, all }) => {
                 let (best, matches) = told(value, *all);
-                let age_of_all = if matches.is_empty() { Duration::MAX } else { age };
                 vec![
                     (pattern.channel(false), best.map(|best| (best, age))),
-                    (pattern.channel(true), Some((Value::List(matches), age_of_all))),
+                    (pattern.channel(true), Some((Value::List(matches), age))),
                 ]
             }
             Some(ChannelSource::Published(name)) => vec![(name.clone(), Some((value, age)))],

@@ -8,12 +8,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_memoryx::{EntityId, MemoryError, Pattern, Query, Snapshot, pages};
+use armarium_memoryx::{Clock, EntityId, Memory, MemoryError, Pattern, Query, Snapshot, pages};
 use armarium_runtime::channels::{Channels, ObserveError, ObserveMemory};
 use armarium_runtime::observed::{MAX_MATCHES, MemoryPattern, ObservedPattern, match_of};
+use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, FrameChange, Value};
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
+use parking_lot::RwLock;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::task::JoinSet;
@@ -30,10 +32,24 @@ const NOW: u64 = 0;
 
 /// The memory of this equipment, for charts that observe it.
 pub fn memory(equipment: &Equipment) -> Arc<dyn ObserveMemory> {
-    Arc::new(OwnMemory(equipment.clone()))
+    let sensed = equipment.robot.sensed();
+    Arc::new(OwnMemory {
+        memory: Arc::clone(&equipment.memory),
+        transforms: Arc::clone(&equipment.transforms),
+        agent: equipment.agent.clone(),
+        clock: Arc::new(move || sensed.borrow().stamp_ns),
+    })
 }
 
-struct OwnMemory(Equipment);
+/// An agent's memory with the frames of its robot.
+#[derive(Clone)]
+struct OwnMemory {
+    memory: Arc<dyn Memory>,
+    transforms: Arc<RwLock<Transforms>>,
+    agent: String,
+    /// The robot's time, in which memory says when things were seen.
+    clock: Clock,
+}
 
 impl ObserveMemory for OwnMemory {
     fn observe(
@@ -41,17 +57,17 @@ impl ObserveMemory for OwnMemory {
         patterns: Vec<ObservedPattern>,
         channels: Channels,
     ) -> BoxFuture<'static, Result<JoinSet<()>, ObserveError>> {
-        let equipment = self.0.clone();
+        let own = self.clone();
         async move {
             let failed = |error: MemoryError| ObserveError { reason: error.to_string() };
-            for agent in equipment.memory.segment(AGENTS).await.map_err(failed)? {
-                stand(&equipment, &agent);
+            for agent in own.memory.segment(AGENTS).await.map_err(failed)? {
+                stand((&own.transforms, &own.agent), &agent);
             }
             let mut tasks = JoinSet::new();
             for observed in patterns {
                 // What changes while the memory is read comes after it.
-                let changes = equipment.memory.subscribe();
-                let mut matches = Matches::of(observed, &equipment);
+                let changes = own.memory.subscribe();
+                let mut matches = Matches::of(observed, &own);
                 matches.read().await.map_err(failed)?;
                 matches.publish(&channels);
                 tasks.spawn(matches.follow(changes, channels.clone()));
@@ -66,23 +82,23 @@ impl ObserveMemory for OwnMemory {
 struct Matches {
     observed: ObservedPattern,
     pattern: Pattern,
-    equipment: Equipment,
+    own: OwnMemory,
     held: BTreeMap<EntityId, Arc<Snapshot>>,
     /// Whether more match than are held.
     left_out: bool,
 }
 
 impl Matches {
-    fn of(observed: ObservedPattern, equipment: &Equipment) -> Self {
+    fn of(observed: ObservedPattern, own: &OwnMemory) -> Self {
         let pattern = pattern(&observed.pattern);
-        Self { observed, pattern, equipment: equipment.clone(), held: BTreeMap::new(), left_out: false }
+        Self { observed, pattern, own: own.clone(), held: BTreeMap::new(), left_out: false }
     }
 
     /// Reads all matches anew.
     async fn read(&mut self) -> Result<(), MemoryError> {
         (self.held, self.left_out) = (BTreeMap::new(), false);
         let mut found = pages(Query::latest(self.pattern.clone()), PAGE_SIZE);
-        while let Some(page) = found.next(&*self.equipment.memory).await? {
+        while let Some(page) = found.next(&*self.own.memory).await? {
             for snapshot in page {
                 self.take(snapshot);
             }
@@ -108,9 +124,9 @@ impl Matches {
                 match change {
                     Ok(snapshot) => {
                         let own_pose =
-                            snapshot.id.segment() == AGENTS && snapshot.id.entity() == self.equipment.agent;
+                            snapshot.id.segment() == AGENTS && snapshot.id.entity() == self.own.agent;
                         if own_pose {
-                            stand(&self.equipment, &snapshot);
+                            stand((&self.own.transforms, &self.own.agent), &snapshot);
                         }
                         let matches = self.pattern.matches(&snapshot.id);
                         changed |= own_pose || matches;
@@ -161,13 +177,11 @@ impl Matches {
     fn publish(&self, channels: &Channels) {
         let mut ordered: Vec<&Snapshot> = self.held.values().map(|snapshot| &**snapshot).collect();
         ordered.sort_by(|a, b| rank(a, b));
-        let now_ns = self.equipment.robot.sensed().borrow().stamp_ns;
-        let value = |snapshot: &&Snapshot| {
-            let age = Duration::from_nanos(now_ns.saturating_sub(snapshot.referenced_ns));
-            (self.value(snapshot), age)
-        };
-        let best = ordered.first().filter(|_| self.observed.best).map(value);
-        channels.publish_matches(&self.observed, best, || ordered.iter().map(value).collect());
+        let now_ns = (self.own.clock)();
+        let age = |snapshot: &Snapshot| Duration::from_nanos(now_ns.saturating_sub(snapshot.referenced_ns));
+        let best = ordered.first().filter(|_| self.observed.best).map(|best| (self.value(best), age(best)));
+        channels
+            .publish_matches(&self.observed, best, || ordered.iter().map(|one| self.value(one)).collect());
     }
 
     fn value(&self, snapshot: &Snapshot) -> Value {
@@ -182,7 +196,7 @@ impl Matches {
     fn in_root(&self, name: &str, value: &Value) -> Value {
         let root = Frame::root();
         let Some(from) = frame_of(value).filter(|frame| **frame != root) else { return value.clone() };
-        match self.equipment.transforms.read().transform(&root, from, NOW) {
+        match self.own.transforms.read().transform(&root, from, NOW) {
             Ok(to_from_from) => {
                 FrameChange { from, to: &root, to_from_from: &to_from_from }.value(name, value)
             }
@@ -212,5 +226,139 @@ fn frame_of(value: &Value) -> Option<&Frame> {
         Value::List(items) => items.iter().find_map(frame_of),
         Value::Map(fields) => fields.values().find_map(frame_of),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_memoryx::{Commit, MemoryLimits, WORLD, WorkingMemory, agent_pose_update};
+    use armarium_values::Pose;
+    use nalgebra::{Isometry3, Vector3};
+
+    use super::*;
+
+    /// A memory at 10 s, and channels on which it is observed.
+    fn observed(limits: MemoryLimits) -> (Arc<WorkingMemory>, Channels) {
+        let memory = Arc::new(WorkingMemory::new(Arc::new(|| 10_000_000_000)).with_limits(limits));
+        let own = OwnMemory {
+            memory: Arc::<WorkingMemory>::clone(&memory),
+            transforms: Arc::default(),
+            agent: "bob".into(),
+            clock: Arc::new(|| 10_000_000_000),
+        };
+        (memory, Channels::new().with_memory(Arc::new(own)))
+    }
+
+    fn cups() -> [ObservedPattern; 1] {
+        let pattern = "ObjectInstances/*/cup*".parse().unwrap();
+        [ObservedPattern { pattern, best: true, all: true }]
+    }
+
+    fn id(name: &str) -> EntityId {
+        EntityId::new("ObjectInstances", "bob", name).unwrap()
+    }
+
+    /// A cup that was seen at `seen_s`.
+    fn cup(name: &str, confidence: f64, seen_s: u64) -> Commit {
+        let pose = Pose::new(Frame(WORLD.to_owned()), &Isometry3::translation(1.0, 2.0, 3.0));
+        let attributes = BTreeMap::from([
+            ("class".to_owned(), Value::from("cup")),
+            ("pose".to_owned(), Value::Pose(pose)),
+        ]);
+        Commit::new(id(name), seen_s * 1_000_000_000, attributes).with_confidence(confidence)
+    }
+
+    fn removal(name: &str) -> Commit {
+        Commit::removal(id(name), 9_000_000_000)
+    }
+
+    /// The id of the best match, its age in s, and how many match.
+    async fn seen(channels: &Channels) -> (Option<String>, Option<u64>, usize) {
+        // The tasks take what has changed.
+        tokio::time::sleep(Duration::from_millis(1)).await;
+        let best = channels.field("ObjectInstances/*/cup*", &["id".to_owned()]);
+        let all = channels.newest("all ObjectInstances/*/cup*").map(|sample| sample.value);
+        let count = match all {
+            Some(Value::List(all)) => all.len(),
+            _ => usize::MAX,
+        };
+        let age = channels.age("ObjectInstances/*/cup*").map(|age| age.as_secs());
+        (best.and_then(|id| Some(id.as_str()?.rsplit('/').next()?.to_owned())), age, count)
+    }
+
+    fn is(name: &str, age: u64, count: usize) -> (Option<String>, Option<u64>, usize) {
+        (Some(name.to_owned()), Some(age), count)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_best_match_is_there_with_its_age_until_it_is_removed() {
+        let (memory, channels) = observed(MemoryLimits::default());
+        memory.commit_now(vec![cup("cup1", 0.5, 4), cup("mug", 1.0, 4)]).unwrap();
+        let tasks = channels.observe(&cups()).await.unwrap();
+        assert_eq!(seen(&channels).await, is("cup1", 6, 1));
+        memory.commit_now(vec![cup("cup2", 0.7, 7), cup("cup3", 0.7, 8)]).unwrap();
+        assert_eq!(seen(&channels).await, is("cup3", 2, 3), "of equals, the one that was seen last");
+        memory.commit_now(vec![removal("cup3"), cup("cup2", 0.2, 9)]).unwrap();
+        assert_eq!(seen(&channels).await, is("cup1", 6, 2));
+        memory.commit_now(vec![removal("cup1"), removal("cup2")]).unwrap();
+        assert_eq!(
+            seen(&channels).await,
+            (None, Some(6), 0),
+            "what is removed is absent again, and its age goes on"
+        );
+        memory.commit_now(vec![cup("cup1", 0.5, 10)]).unwrap();
+        assert_eq!(seen(&channels).await, is("cup1", 0, 1));
+        drop(tasks);
+        memory.commit_now(vec![removal("cup1")]).unwrap();
+        assert_eq!(seen(&channels).await, is("cup1", 0, 1), "nothing is read for who observes nothing");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn of_very_many_matches_those_of_lowest_confidence_are_left_out_until_there_is_room() {
+        let (memory, channels) = observed(MemoryLimits::default());
+        let _tasks = channels.observe(&cups()).await.unwrap();
+        let many = |from: u32, to: u32| (from..to).map(|n| cup(&format!("cup{n}"), f64::from(n) / 1000.0, 1));
+        memory.commit_now(many(0, 150).collect()).unwrap();
+        assert_eq!(seen(&channels).await, is("cup149", 9, MAX_MATCHES));
+        let last = |channels: &Channels| match channels.newest("all ObjectInstances/*/cup*").map(|s| s.value)
+        {
+            Some(Value::List(all)) => all.last().and_then(|cup| cup.get("id")?.as_str().map(str::to_owned)),
+            _ => None,
+        };
+        assert_eq!(last(&channels).as_deref(), Some("ObjectInstances/bob/cup50"));
+        memory.commit_now(vec![removal("cup149"), cup("cup148", 0.0, 2)]).unwrap();
+        assert_eq!(seen(&channels).await, is("cup147", 9, MAX_MATCHES));
+        assert_eq!(last(&channels).as_deref(), Some("ObjectInstances/bob/cup48"), "they are read again");
+        memory.commit_now((0..145).map(|n| removal(&format!("cup{n}"))).collect()).unwrap();
+        assert_eq!(seen(&channels).await, is("cup147", 9, 4));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_is_missed_in_a_flood_is_read_again() {
+        let (memory, channels) = observed(MemoryLimits { backlog: 2, ..MemoryLimits::default() });
+        let _tasks = channels.observe(&cups()).await.unwrap();
+        for n in 0..20 {
+            memory.commit_now(vec![cup(&format!("cup{n}"), 0.5, 1)]).unwrap();
+        }
+        memory.commit_now(vec![cup("cup7", 0.9, 3), removal("cup8")]).unwrap();
+        assert_eq!(seen(&channels).await, is("cup7", 7, 19));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn places_come_in_the_root_frame_where_it_is_known_where_the_robot_stands() {
+        let (memory, channels) = observed(MemoryLimits::default());
+        memory.commit_now(vec![cup("cup1", 0.5, 4)]).unwrap();
+        let _tasks = channels.observe(&cups()).await.unwrap();
+        let at =
+            |channels: &Channels| match channels.field("ObjectInstances/*/cup*", &["position".to_owned()]) {
+                Some(Value::Vector(vector)) => (vector.frame.0, vector.components),
+                other => panic!("{other:?}"),
+            };
+        assert_eq!(at(&channels), (WORLD.into(), [1.0, 2.0, 3.0]));
+        let stands =
+            Isometry3::from_parts(Vector3::new(1.0, 0.0, 0.0).into(), nalgebra::UnitQuaternion::identity());
+        memory.commit_now(vec![agent_pose_update("bob", &stands).unwrap()]).unwrap();
+        seen(&channels).await;
+        assert_eq!(at(&channels), ("root".into(), [0.0, 2.0, 3.0]));
     }
 }

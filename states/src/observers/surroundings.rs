@@ -3,7 +3,9 @@
 
 use armarium_memoryx::Snapshot;
 use armarium_robot::planning::KnownBox;
+use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};
+use parking_lot::RwLock;
 use tokio::sync::broadcast::error::RecvError;
 
 use crate::equipment::Equipment;
@@ -18,7 +20,7 @@ pub(super) async fn observe(equipment: Equipment) {
     let mut known: Option<Vec<KnownBox>> = None;
     loop {
         if let Ok(agents) = equipment.memory.segment(AGENTS).await {
-            agents.iter().for_each(|agent| stand(&equipment, agent));
+            agents.iter().for_each(|agent| stand((&equipment.transforms, &equipment.agent), agent));
         }
         match places(equipment.remembered()).await {
             Ok(places) if known.as_ref() != Some(&places) => {
@@ -42,14 +44,13 @@ pub(super) async fn observe(equipment: Equipment) {
     }
 }
 
-/// Tells the frames where the robot's root is, if that is what a snapshot says.
-pub(super) fn stand(equipment: &Equipment, agent: &Snapshot) {
-    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == equipment.agent)
-    else {
+/// Tells the frames where the robot's root is, if that is what a snapshot says: that of the agent of this name.
+pub(super) fn stand((transforms, own): (&RwLock<Transforms>, &str), agent: &Snapshot) {
+    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == own) else {
         return;
     };
     if pose.frame != Frame::root()
-        && let Err(error) = equipment.transforms.write().fix(&Frame::root(), pose)
+        && let Err(error) = transforms.write().fix(&Frame::root(), pose)
     {
         tracing::warn!("the frames do not know where `{}` stands: {error}", agent.id);
     }

@@ -425,7 +425,7 @@ impl Checker<'_> {
                 self.function_found(id, name);
                 self.reads.channels.push(channel);
                 self.reads.age = true;
-                Ok((Node::Age(channel), Type::quantity(Unit::S)))
+                Ok((Node::Age(channel, self.pos(id)), Type::quantity(Unit::S)))
             }
             ("active", [state]) => {
                 let text = self.text(state)?;

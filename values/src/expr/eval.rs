@@ -83,7 +83,7 @@ pub(super) enum Node {
     EventData,
     /// A comprehension's variable, counted from the innermost.
     Bound(usize),
-    Age(u32),
+    Age(u32, Pos),
     Active(u32),
     Field(Box<Node>, String, Pos),
     Has(Box<Node>, String),
@@ -245,7 +245,10 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
             Node::EventName => Ok(self.context.event_name().map_or(Val::Str(""), Val::Str)),
             Node::EventData => Ok(self.context.event_data().map_or(Val::Null, Val::of)),
             Node::Bound(depth) => Ok(bound(frame, *depth)),
-            Node::Age(channel) => Ok(Val::Float(self.context.age(*channel).unwrap_or(f64::INFINITY))),
+            Node::Age(channel, pos) => {
+                let age = self.context.age(*channel).map(Val::Float);
+                age.ok_or_else(|| pos.absent("nothing has been published here yet"))
+            }
             Node::Active(state) => Ok(Val::Bool(self.context.active(*state))),
             Node::Field(of, name, pos) => field(self.value(of, frame)?, name, *pos),
             Node::Has(of, name) => Ok(Val::Bool(match self.value(of, frame) {

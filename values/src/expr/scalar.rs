@@ -43,7 +43,7 @@ pub(super) fn scalar<C: EvalContext + ?Sized>(node: &Node, context: &C) -> Optio
             _ => return None,
         },
         Node::Active(state) => Bool(context.active(*state)),
-        Node::Age(channel) => Float(context.age(*channel).unwrap_or(f64::INFINITY)),
+        Node::Age(channel, _) => Float(context.age(*channel)?),
         Node::Not(of, _) => Bool(!scalar(of, context)?.truth()?),
         Node::Negate(of, _) => match scalar(of, context)? {
             Int(i) => Int(i.checked_neg()?),
