@@ -1,10 +1,11 @@
-//! `armarium channels`: prints the channels that charts can watch: fields, units, rates, who publishes and who reads them.
+//! `armarium channels`: prints the channels that charts can watch: fields, units, rates, who publishes and who reads them; and the
+//! core segments of memory that they can observe.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
 
 use armarium_host::catalog;
-use armarium_runtime::chart::{self, ChannelDescription, Registry};
+use armarium_runtime::chart::{self, ChannelDescription, MemorySegment, Registry};
 use armarium_runtime::skill::{Parameter, SkillManifest};
 use serde_json::{Value as Json, json};
 
@@ -39,14 +40,58 @@ pub(crate) fn run(args: &ChannelsArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Some(folder) = missing(&args.charts) {
         return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);
     }
-    let channels = listed(&catalog::idle_registry(), &within_reach(&args.charts));
+    let charts = within_reach(&args.charts);
+    let (channels, segments) = (listed(&catalog::idle_registry(), &charts), segments(&charts));
     if args.json {
-        let list: Vec<_> = channels.iter().map(as_json).collect();
+        let list: Vec<_> = channels.iter().map(as_json).chain(segments.iter().map(segment_json)).collect();
         serde_json::to_writer_pretty(&mut *out, &list)?;
         return writeln!(out).map(|()| 0);
     }
     channels.iter().try_for_each(|channel| describe(channel, out))?;
+    segments.iter().try_for_each(|segment| describe_segment(segment, out))?;
     Ok(0)
+}
+
+/// The core segments of memory, each with the charts that observe it: `AwaitCup as cup`.
+fn segments(charts: &Charts) -> Vec<(MemorySegment, Vec<String>)> {
+    let by = |segment: &MemorySegment| {
+        let observing = charts.read.iter().flat_map(|(chart, _)| {
+            let own = chart.observes().filter(|(_, pattern)| pattern.segment == segment.name);
+            own.map(|(name, _)| format!("{} as {name}", chart.name)).collect::<Vec<_>>()
+        });
+        (segment.clone(), observing.collect())
+    };
+    catalog::channels().segments().map(by).collect()
+}
+
+fn describe_segment((segment, by): &(MemorySegment, Vec<String>), out: &mut dyn Write) -> io::Result<()> {
+    writeln!(out, "{}  (in memory; `observe: {{NAME: \"{0}/*/*\"}}`)", segment.name)?;
+    writeln!(out, "    {}", segment.description)?;
+    for Parameter { name, ty, description, .. } in &segment.attributes {
+        writeln!(out, "    channels.NAME.{name}: {ty}  {description}")?;
+    }
+    if !by.is_empty() {
+        writeln!(out, "    observed by: {}", by.join(", "))?;
+    }
+    writeln!(out)
+}
+
+fn segment_json((segment, by): &(MemorySegment, Vec<String>)) -> Json {
+    let attributes: Vec<Json> = segment.attributes.iter().map(field_json).collect();
+    json!({
+        "kind": "segment",
+        "name": segment.name,
+        "description": segment.description,
+        "type": "record",
+        "fields": attributes,
+        "observed_by": by,
+    })
+}
+
+fn field_json(field: &Parameter) -> Json {
+    let mut json = type_json(&field.ty);
+    (json["name"], json["description"]) = (json!(field.name), json!(field.description));
+    json
 }
 
 /// The channels that ship, and those that charts declare. Charts that do not belong together may declare one name differently.
@@ -122,15 +167,11 @@ fn describe(listed: &Listed, out: &mut dyn Write) -> io::Result<()> {
 
 fn as_json(listed: &Listed) -> Json {
     let channel = &listed.channel;
-    let field = |field: &Parameter| {
-        let mut json = type_json(&field.ty);
-        (json["name"], json["description"]) = (json!(field.name), json!(field.description));
-        json
-    };
     let mut json = match channel.fields.as_slice() {
         [] => type_json(&channel.ty),
-        fields => json!({"type": "record", "fields": fields.iter().map(field).collect::<Vec<_>>()}),
+        fields => json!({"type": "record", "fields": fields.iter().map(field_json).collect::<Vec<_>>()}),
     };
+    json["kind"] = json!("channel");
     json["name"] = json!(channel.name);
     json["description"] = json!(channel.description);
     json["rate"] = json!(channel.rate);

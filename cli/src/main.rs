@@ -105,7 +105,7 @@ enum Command {
     Robot(robot::RobotArgs),
     /// Send an event to a chart that runs at another agent.
     Send(send::SendArgs),
-    /// List the channels that charts can watch, with who publishes and who reads them.
+    /// List the channels that charts can watch, with who publishes and who reads them, and what they can observe of memory.
     Channels(channels::ChannelsArgs),
     /// List the skills and charts that charts can use.
     Skills(skills::SkillsArgs),

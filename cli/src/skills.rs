@@ -97,6 +97,8 @@ fn as_json(Listed { manifest, chart }: &Listed<'_>) -> Json {
     });
     if let Some(chart) = chart {
         json["file"] = json!(chart.source.path);
+        let observed = chart.observes().map(|(name, pattern)| (name.to_owned(), json!(pattern.to_string())));
+        json["observes"] = Json::Object(observed.collect());
         json["takes_events"] = json!(chart.events().map(|(event, _)| event).collect::<Vec<_>>());
     }
     json
@@ -115,6 +117,11 @@ fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io:
     parameters("gives", &manifest.outputs, out)?;
     let taken: Vec<String> =
         chart.iter().flat_map(|chart| chart.events()).map(|(event, _)| event.to_owned()).collect();
+    let observed: Vec<String> = chart
+        .iter()
+        .flat_map(|chart| chart.observes())
+        .map(|(name, pattern)| format!("{pattern} as {name}"))
+        .collect();
     let outcomes =
         ["success", "failure"].map(str::to_owned).into_iter().chain(manifest.outcomes.iter().cloned());
     let commands = manifest.commands();
@@ -122,6 +129,7 @@ fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io:
         ("outcomes", &outcomes.collect()),
         ("events", &manifest.events),
         ("takes the events", &taken),
+        ("observes", &observed),
         ("reads", &manifest.reads),
         ("publishes", &manifest.publishes),
         ("commands", &commands),

@@ -176,6 +176,8 @@ fn channels_are_listed_with_who_publishes_and_who_reads_them() {
         "published by: ExecuteMotion, ForceAdaptation, ImitateMotion\n    read by: observer of `hand`\n",
         "channels.wrist.push: list<float in N>",
         "published by: observer of `hand`\n    read by: ExecuteMotion, VisionCoaching, WatchCoach\n",
+        "ObjectInstances  (in memory; `observe: {NAME: \"ObjectInstances/*/*\"}`)\n    Things that were seen",
+        "channels.NAME.pose: Pose  pose of the object",
     ] {
         assert!(text.contains(part), "{part}\n{text}");
     }

@@ -79,6 +79,11 @@ impl Workspace {
                     format!("chart **{name}** ({})\n\n{}", chart.source.path.display(), chart.description);
                 text += &list("takes", &chart.inputs);
                 text += &list("gives", &chart.outputs);
+                let observed = chart.observes().map(|(name, pattern)| format!("- `{name}` {pattern}\n"));
+                let observed: String = observed.collect();
+                if !observed.is_empty() {
+                    text += &format!("\n\nobserves:\n\n{observed}");
+                }
                 text
             }
             Symbol::State { path, .. } => {

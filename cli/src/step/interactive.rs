@@ -7,7 +7,7 @@ use armarium_runtime::stepping::Stepper;
 use armarium_runtime::test_cases::StepCheck;
 use armarium_values::{Type, Value};
 
-use super::line::{channel_step, event_step};
+use super::line::{channel_step, event_step, publish};
 
 /// The help text.
 const HELP: &str = "\
@@ -92,7 +92,7 @@ fn obey(stepper: &mut Stepper, check: &StepCheck<'_>, line: &str) -> Result<(), 
     if let Some((channel, value)) = line.split_once(":=") {
         let (channel, value) = (channel.trim(), json(value)?);
         check.check(&channel_step(channel, &value)).map_err(|e| e.to_string())?;
-        stepper.publish(channel, value, Duration::ZERO);
+        publish(stepper, channel, &value);
         return Ok(());
     }
     let (name, data) = line.split_once(char::is_whitespace).unwrap_or((line, ""));

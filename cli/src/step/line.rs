@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use armarium_runtime::program::{EventId, Program};
 use armarium_runtime::stepping::{Sent, StepError, Stepper};
+use armarium_runtime::test_cases::channel_value;
 use armarium_values::Value;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Longest time that one line can let pass, ms: about 30 years.
 const MAX_AFTER_MS: f64 = 1.0e12;
@@ -21,8 +22,14 @@ struct RawLine {
     data: serde_json::Value,
     from: Option<String>,
     channel: Option<String>,
+    /// `null` is a value: memory holds nothing.
+    #[serde(default, deserialize_with = "present")]
     value: Option<serde_json::Value>,
     after_ms: Option<f64>,
+}
+
+fn present<'de, D: Deserializer<'de>>(value: D) -> Result<Option<serde_json::Value>, D::Error> {
+    serde_json::Value::deserialize(value).map(Some)
 }
 
 /// The input of a line to the chart.
@@ -145,6 +152,12 @@ pub(super) fn channel_step(channel: &str, value: &Value) -> serde_json::Value {
     serde_json::json!({"channel": channel, "value": value.to_json()})
 }
 
+/// Publishes a value that fits the channel.
+pub(super) fn publish(stepper: &mut Stepper, channel: &str, value: &Value) {
+    let read = channel_value(stepper.engine().program(), channel, &value.to_json());
+    stepper.publish(channel, read.unwrap_or_else(|_| value.clone()), Duration::ZERO);
+}
+
 /// Passes a line's input to the chart.
 ///
 /// # Errors
@@ -157,7 +170,7 @@ pub(super) fn apply(stepper: &mut Stepper, input: &InputLine) -> Result<(), Step
         LineInput::Event { number: Some(number), data, .. } => stepper.raise(*number, data.clone()),
         LineInput::Event { name, data, .. } => stepper.event(name, data.clone()),
         LineInput::Report { from, name, data } => stepper.report(from, name, data.clone())?,
-        LineInput::Publish { channel, value } => stepper.publish(channel, value.clone(), Duration::ZERO),
+        LineInput::Publish { channel, value } => publish(stepper, channel, value),
         LineInput::Nothing => {}
     }
     Ok(())
@@ -251,6 +264,8 @@ mod tests {
         assert_eq!(what(r#"{"name": "success", "from": "A.B"}"#), Ok(Some(report)));
         let publish = LineInput::Publish { channel: "hand".into(), value: Value::Bool(true) };
         assert_eq!(what(r#"{"channel": "hand", "value": true}"#), Ok(Some(publish)));
+        let gone = LineInput::Publish { channel: "cup".into(), value: Value::Null };
+        assert_eq!(what(r#"{"channel": "cup", "value": null}"#), Ok(Some(gone)));
         assert_eq!(what(r#"{"after_ms": 5}"#), Ok(Some(LineInput::Nothing)));
     }
 

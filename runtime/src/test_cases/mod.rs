@@ -16,7 +16,7 @@ use serde_json::{Value as Json, json};
 
 pub use checks::{Programs, StepCheck, WrongStep};
 pub use play::CaseError;
-pub use stand_in::StandInError;
+pub use stand_in::{StandInError, channel_value};
 
 form! {
     /// A file of test cases.

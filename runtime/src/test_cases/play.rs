@@ -218,10 +218,7 @@ impl Player<'_> {
             (None, _) => {}
         }
         if let Some(channel) = &step.channel {
-            let value = match self.program.named_channels.get(channel) {
-                Some(named) => stand_in::published(named, &step.value),
-                None => Ok(Value::from_json(&step.value)),
-            };
+            let value = stand_in::channel_value(self.program, channel, &step.value);
             let value = value.map_err(|why| CaseError::Channel { channel: channel.clone(), why })?;
             self.stepper.publish(channel, value, duration(step.age));
         }

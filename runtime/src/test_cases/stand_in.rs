@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use armarium_values::{ConvertError, Frame, Pose, Reference, Type, Value, Vector, Wrench};
 use serde_json::Value as Json;
 
-use crate::program::{ChannelSource, NamedChannel};
+use crate::program::{ChannelSource, Program};
 
 /// Why a script's value is none of the declared type.
 #[derive(Debug, thiserror::Error)]
@@ -33,11 +33,12 @@ pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, StandInError> {
     Ok(ty.convert(value)?)
 }
 
-/// A script's value as that of a channel, whose fields may be left out. Memory may hold nothing.
+/// A script's value as that of a channel of the program, whose fields may be left out. Memory may hold nothing.
 ///
 /// # Errors
 /// [`StandInError`] when a field is none of its type.
-pub(super) fn published(channel: &NamedChannel, json: &Json) -> Result<Value, StandInError> {
+pub fn channel_value(program: &Program, channel: &str, json: &Json) -> Result<Value, StandInError> {
+    let Some(channel) = program.named_channels.get(channel) else { return Ok(Value::from_json(json)) };
     match (&channel.ty, json) {
         (_, Json::Null) if matches!(channel.source, ChannelSource::Memory { .. }) => Ok(Value::Null),
         (Type::List(of), Json::Array(items)) => {
