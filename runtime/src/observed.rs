@@ -78,6 +78,13 @@ impl fmt::Display for MemoryPattern {
 }
 
 impl MemoryPattern {
+    /// Every address.
+    #[must_use]
+    pub fn any() -> Self {
+        let [segment, provider, entity] = [(); 3].map(|()| "*".to_owned());
+        Self { segment, provider, entity }
+    }
+
     /// The channel of the match with the highest confidence, or of all matches.
     #[must_use]
     pub fn channel(&self, all: bool) -> String {
@@ -114,11 +121,16 @@ fn placed(mut fields: BTreeMap<String, Value>) -> Value {
 }
 
 /// What the channels of a pattern hold when a person says what one of them does: a test case, a line of `step`. For the best match
-/// that is a map of its fields, or nothing; for all matches a list of such maps. Returns the best, and all of them.
+/// that is a map of its fields, or nothing; for all matches a list of such maps. Without a `confidence` it is 1, without an `id` it
+/// is the pattern. Returns the best, and all of them.
 #[must_use]
-pub(crate) fn told(value: Value, all: bool) -> (Option<Value>, Vec<Value>) {
+pub(crate) fn told(pattern: &MemoryPattern, value: Value, all: bool) -> (Option<Value>, Vec<Value>) {
     let complete = |value: Value| match value {
-        Value::Map(fields) => placed(fields),
+        Value::Map(mut fields) => {
+            fields.entry("confidence".into()).or_insert(Value::Float(1.0));
+            fields.entry("id".into()).or_insert_with(|| pattern.to_string().into());
+            placed(fields)
+        }
         other => other,
     };
     let mut matches: Vec<Value> = match value {
@@ -126,7 +138,7 @@ pub(crate) fn told(value: Value, all: bool) -> (Option<Value>, Vec<Value>) {
         Value::Null => Vec::new(),
         one => vec![complete(one)],
     };
-    let confidence = |of: &Value| of.get("confidence").and_then(Value::as_f64).unwrap_or(1.0);
+    let confidence = |of: &Value| of.get("confidence").and_then(Value::as_f64).unwrap_or(0.0);
     matches.sort_by(|a, b| confidence(b).total_cmp(&confidence(a)));
     (matches.first().cloned(), matches)
 }
@@ -158,12 +170,12 @@ mod tests {
         let cup = |confidence: f64| {
             Value::record([("confidence", confidence.into()), ("pose", Value::Pose(pose.clone()))])
         };
-        let (best, all) = told(Value::List(vec![cup(0.3), cup(0.8)]), true);
+        let (best, all) = told(&MemoryPattern::any(), Value::List(vec![cup(0.3), cup(0.8)]), true);
         let best = best.expect("there are two");
         assert_eq!(best.at(&["confidence".into()]), Some(0.8.into()));
         assert_eq!(best.at(&["position".into(), "y".into()]), Some(2.0.into()));
         assert_eq!(all.len(), 2);
-        assert_eq!(told(Value::Null, false), (None, Vec::new()));
-        assert_eq!(told(Value::List(Vec::new()), true), (None, Vec::new()));
+        assert_eq!(told(&MemoryPattern::any(), Value::Null, false), (None, Vec::new()));
+        assert_eq!(told(&MemoryPattern::any(), Value::List(Vec::new()), true), (None, Vec::new()));
     }
 }

@@ -168,15 +168,13 @@ fn observed_by(
         segment(written, known, &mut findings);
         let channels = observed(written, known);
         let taken = channels.iter().find_map(|(name, _)| match own.get(name) {
-            Some(other) => Some((name, format!("`{}` is observed here already", other.declared))),
+            Some(other) => Some((name, format!("it belongs to `{}`", other.declared))),
             None => shared.get(name).map(|_| (name, "observers or skills publish it".to_owned())),
         });
         if let Some((name, by)) = taken {
             let message = format!("there is a channel `{name}` already: {by}");
-            let help = format!(
-                "choose another name: `{0}` also names `channels.{0}{ALL}`, the list of all matches",
-                written.name.text
-            );
+            let help =
+                format!("choose another name; each is also that of a list of all matches: `NAME{ALL}`");
             findings.error_help(code::DUPLICATE, written.name.span, message, Some(help));
             continue;
         }

@@ -131,7 +131,7 @@ pub(super) fn compile(
     let (channels, read) = names.into_channels();
     // Where an expression is wrong, it is not known what it was to read.
     if !findings.iter().any(Finding::is_error) {
-        findings.extend(unread(tree, library, &read));
+        findings.extend(unread(tree, library, known, &read));
     }
     let observed = observed_patterns(known, &channels);
     let held: Vec<String> =
@@ -458,13 +458,20 @@ fn used_charts<'t>(tree: &'t Tree<'_>) -> BTreeSet<&'t str> {
 }
 
 /// Names under `observe` that no expression reads.
-fn unread(tree: &Tree<'_>, library: &Library, read: &BTreeSet<(String, String)>) -> Vec<Finding> {
+fn unread(
+    tree: &Tree<'_>,
+    library: &Library,
+    known: &KnownChannels,
+    read: &BTreeSet<(String, String)>,
+) -> Vec<Finding> {
     let mut found = Vec::new();
     for chart in used_charts(tree).into_iter().filter_map(|name| library.charts.get(name)) {
         let mut findings = Findings::new(Arc::clone(&chart.source));
         for observed in &chart.observed {
             let name = &observed.name;
-            if !read.contains(&(chart.name.clone(), name.text.clone())) {
+            // A name that is taken has its finding already.
+            let is_known = known.observed(&chart.name, &name.text).is_some();
+            if is_known && !read.contains(&(chart.name.clone(), name.text.clone())) {
                 let message = format!("no expression of the chart reads `channels.{}`", name.text);
                 let help = Some("what nobody reads is not observed".to_owned());
                 findings.add(Severity::Warning, code::UNUSED, name.span, message, help);

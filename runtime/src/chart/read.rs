@@ -302,28 +302,34 @@ impl ChartReader<'_> {
                 self.error(code::LIMIT, name.span, message);
                 break;
             }
-            match text.text.parse::<MemoryPattern>() {
-                Ok(pattern) => observed.push(WrittenPattern { name: name.clone(), span: node.span, pattern }),
-                Err(error) => {
-                    let parts: Vec<&str> = text.text.split('/').filter(|part| !part.is_empty()).collect();
-                    let meant = match parts.as_slice() {
-                        [segment] => Some(format!("{segment}/*/*")),
-                        [segment, entity] => Some(format!("{segment}/*/{entity}")),
-                        _ => None,
-                    };
-                    let meant = meant.filter(|meant| meant.parse::<MemoryPattern>().is_ok());
-                    let help = meant.as_ref().map_or_else(
-                        || "`*` stands for any characters: `ObjectInstances/*/cup*`".to_owned(),
-                        |meant| format!("write `{meant}`: `*` stands for any characters"),
-                    );
-                    self.findings.error_help(code::FORM, node.span, error.to_string(), Some(help));
-                    if let Some(meant) = meant {
-                        self.findings.remedy(Remedy::replace(node.span, format!("\"{meant}\"")));
-                    }
-                }
-            }
+            // What is wrong with a pattern is no mistake of those who read its name.
+            let pattern = self.pattern(&text).unwrap_or_else(MemoryPattern::any);
+            observed.push(WrittenPattern { name: name.clone(), span: node.span, pattern });
         }
         observed
+    }
+
+    fn pattern(&mut self, written: &Named) -> Option<MemoryPattern> {
+        let error = match written.text.parse::<MemoryPattern>() {
+            Ok(pattern) => return Some(pattern),
+            Err(error) => error,
+        };
+        let parts: Vec<&str> = written.text.split('/').filter(|part| !part.is_empty()).collect();
+        let meant = match parts.as_slice() {
+            [segment] => Some(format!("{segment}/*/*")),
+            [segment, entity] => Some(format!("{segment}/*/{entity}")),
+            _ => None,
+        };
+        let meant = meant.filter(|meant| meant.parse::<MemoryPattern>().is_ok());
+        let help = meant.as_ref().map_or_else(
+            || "`*` stands for any characters: `ObjectInstances/*/cup*`".to_owned(),
+            |meant| format!("write `{meant}`: `*` stands for any characters"),
+        );
+        self.findings.error_help(code::FORM, written.span, error.to_string(), Some(help));
+        if let Some(meant) = meant {
+            self.findings.remedy(Remedy::replace(written.span, format!("\"{meant}\"")));
+        }
+        None
     }
 
     fn declare_types(&mut self, entries: &Entries) {

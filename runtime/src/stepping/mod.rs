@@ -229,7 +229,7 @@ impl Stepper {
         let program = Arc::clone(self.engine.program());
         let samples = match program.named_channels.get(channel).map(|named| &named.source) {
             Some(ChannelSource::Memory { pattern, all }) => {
-                let (best, matches) = told(value, *all);
+                let (best, matches) = told(pattern, value, *all);
                 vec![
                     (pattern.channel(false), best.map(|best| (best, age))),
                     (pattern.channel(true), Some((Value::List(matches), age))),

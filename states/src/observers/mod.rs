@@ -28,11 +28,12 @@ pub fn channels() -> ChannelSchema {
 
 fn described(segment: SegmentSchema) -> MemorySegment {
     let attribute = |of: Attribute| Parameter::new(&of.name, of.ty, &of.description);
-    MemorySegment {
-        name: segment.segment,
-        description: segment.description,
-        attributes: segment.attributes.into_iter().map(attribute).collect(),
-    }
+    // What is copied of another agent's memory says so.
+    let origin = Type::record([("agent", Type::String), ("provider", Type::String)]);
+    let origin =
+        Parameter::new("origin", origin, "of which agent it is, where another agent's memory is followed");
+    let attributes = segment.attributes.into_iter().map(attribute).chain([origin]).collect();
+    MemorySegment { name: segment.segment, description: segment.description, attributes }
 }
 
 fn hand() -> ChannelDescription {
