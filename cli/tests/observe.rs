@@ -65,3 +65,11 @@ fn a_chart_acts_on_what_another_agent_sees() {
     let at = place(&report, "at");
     assert!((at[0] - 0.35).abs() < 0.03 && (at[1] - 0.50).abs() < 0.03, "{at:?}");
 }
+
+#[test]
+fn the_cases_beside_these_charts_take_every_transition() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let cases = ["await_cup.test.yaml", "reach_told.test.yaml"].map(chart);
+    let output = armarium(folder.path(), &["test", "--complete", &cases[0], &cases[1]]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+}
