@@ -470,7 +470,7 @@ fn unread(
         for observed in &chart.observed {
             let name = &observed.name;
             // A name that is taken has its finding already.
-            let is_known = known.observed(&chart.name, &name.text).is_some();
+            let is_known = known.observed(&chart.name, &name.text).is_some_and(|o| o.declared == name.text);
             if is_known && !read.contains(&(chart.name.clone(), name.text.clone())) {
                 let message = format!("no expression of the chart reads `channels.{}`", name.text);
                 let help = Some("what nobody reads is not observed".to_owned());
