@@ -12,7 +12,6 @@ mod arm;
 mod around;
 mod coaching;
 mod equipment;
-mod frames;
 mod grasp;
 mod hand;
 mod hand_eye;

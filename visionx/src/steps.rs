@@ -4,11 +4,12 @@
 use std::sync::Arc;
 
 use armarium_values::{Frame, Observation, ObservedPlace, Pose, Value, Vector};
-use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
+use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, RgbImage, StereoFrame};
-use crate::localizer::{ObjectEstimate, ObjectLocalizer};
+use crate::localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
 use crate::processor::ImageProcessor;
 use crate::providers::{RawFrame, StereoPair};
@@ -30,7 +31,7 @@ const OBJECTS: &str = "ObjectInstances";
 const HANDS: &str = "HumanHands";
 const ENVIRONMENT: &str = "EnvironmentModels";
 
-/// A processor of one provider of stereo pairs.
+/// A processor of one provider of stereo pairs. A new one is a type with this trait, in any crate: see `examples/brightest.rs`.
 pub trait StereoStep: Send {
     /// Its name.
     fn name(&self) -> &str;
@@ -43,6 +44,25 @@ pub trait StereoStep: Send {
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation>;
     /// Draws what it saw in the last frame into its left image.
     fn draw(&self, image: &mut RgbImage);
+}
+
+/// Several processors of the same frames, one after the other.
+impl StereoStep for Vec<Box<dyn StereoStep>> {
+    fn name(&self) -> &str {
+        self.first().map_or("", |step| step.name())
+    }
+
+    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
+        self.iter().find_map(|step| step.missing_input(frame))
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.iter_mut().flat_map(|step| step.step(frame)).collect()
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        self.iter().for_each(|step| step.draw(image));
+    }
 }
 
 /// What a step observes in a frame, with all places in `frame_of_root`, the frame of its `root_from_left`.
@@ -154,17 +174,28 @@ impl StereoStep for HandStep {
     }
 }
 
+/// Where something is expected at a time (ns): in the root frame, m.
+type Expected = Box<dyn Fn(u64) -> Option<Point3<f64>> + Send>;
+
 /// A thing of one colour, as `ObjectInstances` of its class. One that is not seen is not observed.
 pub struct MarkerStep {
     tracking: ColorMarkerObjectTracking,
     class: String,
+    expected: Option<Expected>,
     last: Option<MarkerEstimate>,
 }
 
 impl MarkerStep {
     /// The step around a tracker of a thing of this class.
     pub fn new(tracking: ColorMarkerObjectTracking, class: &str) -> Self {
-        Self { tracking, class: class.into(), last: None }
+        Self { tracking, class: class.into(), expected: None, last: None }
+    }
+
+    /// The same for a thing that is expected at a place: among several of its colour, the nearest one is followed.
+    #[must_use]
+    pub fn expected_at(mut self, place: impl Fn(u64) -> Option<Point3<f64>> + Send + 'static) -> Self {
+        self.expected = Some(Box::new(place));
+        self
     }
 }
 
@@ -174,7 +205,9 @@ impl StereoStep for MarkerStep {
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
-        self.last = self.tracking.update(frame);
+        let expected = self.expected.as_ref().and_then(|place| place(frame.stamp_ns));
+        let in_left = expected.map(|place| frame.root_from_left.inverse() * place);
+        self.last = self.tracking.update_near(frame, in_left.as_ref());
         let seen = |marker: &MarkerEstimate| {
             Observation::new(OBJECTS, &self.class, frame.stamp_ns)
                 .at(in_camera(&marker.point_in_left, &marker.covariance))
@@ -189,16 +222,47 @@ impl StereoStep for MarkerStep {
 }
 
 /// A box of known colour and size, as `ObjectInstances` of its class, with its pose. One that is not seen is not observed.
+///
+/// Where the frames have depth, the table on which it stands is looked for once, as `EnvironmentModels/.../table`; the box lies
+/// along it. What else is level is not observed.
 pub struct ObjectStep {
     localizer: ObjectLocalizer,
+    /// Finds the table; `None` when it has been looked for.
+    tables: Option<TabletopSegmentation>,
+    /// The box's height, m.
+    height: f64,
     class: String,
     last: Option<ObjectEstimate>,
 }
 
+/// What stands on a surface has its underside within this of it, m.
+const STANDS: f64 = 0.04;
+
 impl ObjectStep {
-    /// The step around a localizer of boxes of this class.
+    /// The step around a localizer of boxes of this class, on a surface whose tilt the localizer knows.
     pub fn new(localizer: ObjectLocalizer, class: &str) -> Self {
-        Self { localizer, class: class.into(), last: None }
+        Self { localizer, tables: None, height: 0.0, class: class.into(), last: None }
+    }
+
+    /// The step for a box on a table that is to be found with it.
+    pub fn on_a_table(calibration: StereoCalibration, model: BoxModel, class: &str) -> Self {
+        let (height, tables) = (model.size.z, Some(TabletopSegmentation::new(calibration.camera)));
+        Self { height, tables, ..Self::new(ObjectLocalizer::new(calibration, model), class) }
+    }
+
+    /// The table under the box, once a box has been found.
+    fn table(&mut self, frame: &StereoFrame) -> Option<Observation> {
+        let first = self.tables.as_ref().and_then(|_| self.localizer.localize(frame))?;
+        let Tabletop { table, .. } = self.tables.take()?.segment(frame)?;
+        let middle = Point3::from(first.root_from_object.translation.vector);
+        let above = (table.root_from_table.inverse() * middle).z;
+        if (above - self.height / 2.0).abs() > STANDS {
+            return None;
+        }
+        let normal = Unit::new_normalize(table.root_from_table * Vector3::z());
+        let tilt = UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), &normal)?;
+        self.localizer = self.localizer.clone().standing_on(tilt);
+        Some(table_seen(&table, frame.stamp_ns))
     }
 }
 
@@ -208,6 +272,7 @@ impl StereoStep for ObjectStep {
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        let table = self.table(frame);
         self.last = self.localizer.localize(frame);
         let seen = |object: &ObjectEstimate| {
             let pose = &object.root_from_object;
@@ -217,7 +282,7 @@ impl StereoStep for ObjectStep {
                 .with_confidence(object.visible)
                 .with("pose", root_pose(pose))
         };
-        self.last.iter().map(seen).collect()
+        table.into_iter().chain(self.last.as_ref().map(seen)).collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {

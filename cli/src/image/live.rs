@@ -14,7 +14,7 @@ use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, FingertipStep, HandObserver, HandStep, ImageError, ImageProcessor,
     MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy,
-    TabletopSegmentation, TabletopStep, Trigger, run_processor,
+    TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
 };
 use async_trait::async_trait;
 use serde_json::{Value as Json, json};
@@ -107,7 +107,7 @@ pub(super) async fn run(
         }
         Some(_) => return Err(argument("--rate is greater than 0")),
     };
-    let mut processor = args.look.processor(pair, args.color);
+    let processor = args.look.processor(pair, args.color);
     let remembers = match &args.memory {
         Some(agent) => {
             let memory = Arc::new(RemoteMemory::connect(connection.session(), agent).await.map_err(failed)?);
@@ -135,12 +135,13 @@ pub(super) async fn run(
     let with = ProcessorLoop {
         inputs: vec![Arc::clone(&source.provider)],
         trigger,
+        workers: Workers::Threads,
         sink: &sink,
         annotated: args.offer.is_some().then_some(&drawn),
         statistics: &statistics,
     };
     let processing = async {
-        let ended = run_processor(&mut *processor, &with).await;
+        let ended = run_processor(processor, &with).await;
         // No more observations come: close the queue, so that the receiver ends after the last one.
         sink.to.lock().take();
         match ended {
