@@ -16,6 +16,7 @@ mod grasp;
 mod hand;
 mod hand_eye;
 mod head;
+mod held;
 mod inputs;
 mod motions;
 mod needs;

@@ -6,7 +6,7 @@ use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;
-use armarium_values::{Frame, Observation, Value};
+use armarium_values::{Frame, Look, Observation, Value};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use parking_lot::RwLock;
 
@@ -41,13 +41,18 @@ impl Remembered<'_> {
         })
     }
 
-    /// What was observed in the root frame as memory is to hold it: in `world` where it is known where the robot stands there.
-    pub(crate) fn placed(&self, seen: Observation) -> Observation {
-        let world = Frame(WORLD.to_owned());
-        match self.transforms.read().transform(&world, &Frame::root(), NOW) {
-            Ok(world_from_root) => seen.moved(&Frame::root(), &world, &world_from_root),
-            Err(_) => seen,
-        }
+    /// What was observed and looked for in the root frame as memory is to hold it: in `world` where it is known where the robot stands there.
+    pub(crate) fn placed(
+        &self,
+        seen: Vec<Observation>,
+        look: Option<Look>,
+    ) -> (Vec<Observation>, Option<Look>) {
+        let (root, world) = (Frame::root(), Frame(WORLD.to_owned()));
+        let Ok(world_from_root) = self.transforms.read().transform(&world, &root, NOW) else {
+            return (seen, look);
+        };
+        let moved = |seen: Observation| seen.moved(&root, &world, &world_from_root);
+        (seen.into_iter().map(moved).collect(), look.map(|look| look.moved(&world, &world_from_root)))
     }
 }
 

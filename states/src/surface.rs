@@ -156,11 +156,11 @@ mod tests {
         let (there, here) = (Pose::new(Frame("world".into()), &pose), Pose::new(Frame::root(), &pose));
         assert_eq!(top_in(&remembered, &there), None);
         let seen = |pose| Observation::new("EnvironmentModels", "table", 0).with("pose", pose_value(pose));
-        assert_eq!(remembered.placed(seen(&pose)), seen(&pose));
+        assert_eq!(remembered.placed(vec![seen(&pose)], None).0, [seen(&pose)]);
         transforms.write().fix(&Frame::root(), &stands).unwrap();
-        let placed = remembered.placed(seen(&Isometry3::identity()));
+        let (placed, _) = remembered.placed(vec![seen(&Isometry3::identity())], None);
         assert!(
-            matches!(&placed.attributes["pose"], Value::Pose(pose) if pose.frame.0 == "world" && pose.position[0] == 0.1)
+            matches!(&placed[0].attributes["pose"], Value::Pose(pose) if pose.frame.0 == "world" && pose.position[0] == 0.1)
         );
         assert!((top_in(&remembered, &there).unwrap().x - 0.1).abs() < 1e-9);
         assert!((top_in(&remembered, &here).unwrap().x - 0.2).abs() < 1e-9);

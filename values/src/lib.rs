@@ -6,6 +6,7 @@
 pub mod expr;
 mod frame_change;
 mod geometry;
+mod look;
 mod observation;
 pub mod report;
 pub mod transforms;
@@ -15,6 +16,7 @@ mod value;
 
 pub use frame_change::FrameChange;
 pub use geometry::{Frame, Pose, Vector, Wrench};
+pub use look::Look;
 pub use observation::{Observation, ObservedPlace};
 pub use types::{ConvertError, Fit, Type};
 pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity, split_quantity};

@@ -57,7 +57,8 @@ pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, PixelRun, Region};
 pub use processor::{
-    ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy, Trigger, Workers, run_processor,
+    ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy, Trigger, Workers,
+    run_processor,
 };
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation};
+use armarium_values::{Frame, Look, Observation};
 use nalgebra::Isometry3;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -11,7 +11,7 @@ use tokio::task::JoinHandle;
 use crate::frame::ImageError;
 use crate::image_source::ImageSource;
 use crate::processor::Workers;
-use crate::steps::{StereoStep, observations_of};
+use crate::steps::{StereoStep, look_of, observations_of};
 
 /// What a processor observed in one frame, in the root frame.
 #[derive(Clone, Debug)]
@@ -22,6 +22,8 @@ pub struct Sighting {
     pub root_from_left: Isometry3<f64>,
     /// What was observed.
     pub observations: Vec<Observation>,
+    /// What was looked for, and where that would have been seen.
+    pub look: Option<Look>,
 }
 
 impl Sighting {
@@ -43,7 +45,7 @@ impl Sight {
     /// Starts a processor of these images; frames are made while it works.
     pub fn start(images: &Arc<dyn ImageSource>, step: impl StereoStep + 'static, workers: Workers) -> Self {
         let (sender, newest) = watch::channel(None);
-        let images = Arc::clone(images);
+        let (images, camera) = (Arc::clone(images), images.calibration().camera);
         let task = tokio::spawn(async move {
             let mut step = step;
             loop {
@@ -63,10 +65,12 @@ impl Sight {
                 (step, sighting) = workers
                     .work(step, move |step| {
                         let observations = observations_of(step, &frame, &Frame::root());
+                        let (stamp_ns, root_from_left) = (frame.stamp_ns, frame.root_from_left);
                         Sighting {
-                            stamp_ns: frame.stamp_ns,
-                            root_from_left: frame.root_from_left,
+                            stamp_ns,
+                            root_from_left,
                             observations,
+                            look: look_of(step, &frame, camera),
                         }
                     })
                     .await;

@@ -3,15 +3,15 @@
 
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation, ObservedPlace, Pose, Value, Vector};
+use armarium_values::{Frame, Look, Observation, ObservedPlace, Pose, Value, Vector};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
-use crate::camera::StereoCalibration;
+use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{ImageError, RgbImage, StereoFrame};
 use crate::localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
-use crate::processor::ImageProcessor;
+use crate::processor::{ImageProcessor, Seen};
 use crate::providers::{RawFrame, StereoPair};
 use crate::tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 use crate::tracking::hand::{HandObservation, HandObserver};
@@ -26,6 +26,8 @@ const PALM: f64 = 1e-4;
 const TABLE: f64 = 1e-4;
 /// Confidence of an object on a table after one observation.
 const THING: f64 = 0.8;
+/// Class of the objects on a table of which nothing else is known.
+const THING_CLASS: &str = "thing";
 /// Core segments.
 const OBJECTS: &str = "ObjectInstances";
 const HANDS: &str = "HumanHands";
@@ -39,6 +41,11 @@ pub trait StereoStep: Send {
     fn missing_input(&self, frame: &RawFrame) -> Option<String> {
         let _ = frame;
         None
+    }
+    /// What it finds wherever it is in view: core segments and classes. That it did not find such a thing where it is known to be
+    /// speaks against it.
+    fn looks_for(&self) -> Vec<(String, String)> {
+        Vec::new()
     }
     /// Processes a frame. Places are in the frame `camera` of the left camera, or in `root` as the frame's `root_from_left` says.
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation>;
@@ -54,6 +61,10 @@ impl StereoStep for Vec<Box<dyn StereoStep>> {
 
     fn missing_input(&self, frame: &RawFrame) -> Option<String> {
         self.iter().find_map(|step| step.missing_input(frame))
+    }
+
+    fn looks_for(&self) -> Vec<(String, String)> {
+        self.iter().flat_map(|step| step.looks_for()).collect()
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
@@ -82,6 +93,33 @@ pub fn observations_of(
     step.step(frame).into_iter().map(moved).collect()
 }
 
+/// Nearer to the border of an image than this, px, a thing may be cut off.
+const BORDER: f64 = 20.0;
+/// What is measured nearer than a place by more than this, m, is before it.
+const BEFORE: f64 = 0.05;
+
+/// That a step has looked at a frame of this camera, in the root frame; `None` where it looks for nothing.
+pub(crate) fn look_of(
+    step: &dyn StereoStep,
+    frame: &Arc<StereoFrame>,
+    camera: PinholeCamera,
+) -> Option<Look> {
+    let classes = step.looks_for();
+    if classes.is_empty() {
+        return None;
+    }
+    let shown = Arc::clone(frame);
+    let open = move |point: &Point3<f64>| {
+        let in_left = shown.root_from_left.inverse() * point;
+        let Some(px) = camera.project(&in_left).filter(|_| in_left.z > 0.0) else { return false };
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        let inside = px.x > BORDER && px.y > BORDER && px.x < width - BORDER && px.y < height - BORDER;
+        let measured = shown.depth.as_ref().map(|depth| depth.at(px.x as u32, px.y as u32));
+        inside && measured.is_none_or(|depth| f64::from(depth) > in_left.z - BEFORE)
+    };
+    Some(Look::new(frame.stamp_ns, classes, &Frame::root(), open))
+}
+
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].
 pub struct OfStereo<S> {
     step: S,
@@ -100,7 +138,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         self.step.name()
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Seen, ImageError> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
@@ -112,7 +150,10 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
             Some(_) => Frame::root(),
             None => Frame(frame.frame_id.clone()),
         };
-        Ok(observations_of(&mut self.step, &self.pair.frame(frame)?, &frame_of_root))
+        let pair = Arc::new(self.pair.frame(frame)?);
+        let observations = observations_of(&mut self.step, &pair, &frame_of_root);
+        let look = look_of(&self.step, &pair, self.pair.calibration().camera);
+        Ok(Seen { observations, look: look.filter(|_| frame.root_from_camera.is_some()) })
     }
 
     fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
@@ -204,6 +245,10 @@ impl StereoStep for MarkerStep {
         "marker"
     }
 
+    fn looks_for(&self) -> Vec<(String, String)> {
+        vec![(OBJECTS.into(), self.class.clone())]
+    }
+
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         let expected = self.expected.as_ref().and_then(|place| place(frame.stamp_ns));
         let in_left = expected.map(|place| frame.root_from_left.inverse() * place);
@@ -271,6 +316,10 @@ impl StereoStep for ObjectStep {
         "object"
     }
 
+    fn looks_for(&self) -> Vec<(String, String)> {
+        vec![(OBJECTS.into(), self.class.clone())]
+    }
+
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         let table = self.table(frame);
         self.last = self.localizer.localize(frame);
@@ -312,6 +361,10 @@ impl StereoStep for TabletopStep {
         self.segmentation.missing_input(frame)
     }
 
+    fn looks_for(&self) -> Vec<(String, String)> {
+        vec![(OBJECTS.into(), THING_CLASS.into())]
+    }
+
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         self.last = self.segmentation.segment(frame);
         let Some(Tabletop { table, objects }) = &self.last else { return Vec::new() };
@@ -336,7 +389,7 @@ fn table_seen(table: &TableEstimate, stamp_ns: u64) -> Observation {
 fn thing(object: &TableObject, stamp_ns: u64) -> Observation {
     let pose = &object.root_from_object;
     let color: Vec<f64> = object.color.iter().map(|c| f64::from(*c)).collect();
-    Observation::new(OBJECTS, "thing", stamp_ns)
+    Observation::new(OBJECTS, THING_CLASS, stamp_ns)
         .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &object.covariance))
         .with_confidence(THING)
         .with("pose", root_pose(pose))
@@ -418,7 +471,7 @@ mod tests {
             let place = |o: Observation| {
                 o.place.map(|place| (place.position.frame.0.clone(), place.position.vector()))
             };
-            seen.into_iter().filter_map(place).collect()
+            seen.observations.into_iter().filter_map(place).collect()
         };
         let known = frame_of(&stereo, 1, "left").unwrap();
         let root_from_camera = known.root_from_camera.unwrap();

@@ -13,7 +13,7 @@ use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offe
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, FingertipStep, HandObserver, HandStep, ImageError, ImageProcessor,
-    MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy,
+    MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy,
     TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
 };
 use async_trait::async_trait;
@@ -63,7 +63,7 @@ impl Look {
 }
 
 /// What was observed in a frame, and by whom.
-type Queued = (SeenBy, Vec<Observation>);
+type Queued = (SeenBy, Seen);
 
 /// Passes observations on; the processor never waits for the printer or the memory.
 struct HandOn {
@@ -75,7 +75,7 @@ struct HandOn {
 
 #[async_trait]
 impl ResultSink for HandOn {
-    async fn take(&self, by: &SeenBy, seen: Vec<Observation>) -> bool {
+    async fn take(&self, by: &SeenBy, seen: Seen) -> bool {
         self.taken.store(true, Ordering::Relaxed);
         let to = self.to.lock().clone();
         let Some(to) = to else { return false };
@@ -182,9 +182,9 @@ async fn tell(
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     while let Some((by, seen)) = told.recv().await {
-        writeln!(out, "{}", line(&by, &seen))?;
+        writeln!(out, "{}", line(&by, &seen.observations))?;
         if let Some(updater) = &remembers {
-            updater.update(&seen).await.map_err(failed)?;
+            updater.update_from(&seen.observations, seen.look.as_ref()).await.map_err(failed)?;
         }
     }
     Ok(())

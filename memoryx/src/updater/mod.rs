@@ -9,13 +9,15 @@
 //! An observation is addressed to a core segment. One without a place says only what else is observed. People's hands and bodies
 //! move by themselves, and each picture shows another part of a table: of these segments the last observation counts alone. It
 //! is of the nearest known entity of its class, however far that is, and one without a place (no hand is there) is of all.
+//! Where a [`Look`] says what was looked for and where it would have been seen, what is known to be there and was not found loses
+//! confidence, and is removed in the end. What is carried is not doubted: a hand hides it.
 //! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation, ObservedPlace, Value, Vector};
-use nalgebra::Matrix3;
+use armarium_values::{Frame, Look, Observation, ObservedPlace, Value, Vector};
+use nalgebra::{Matrix3, Point3};
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
@@ -28,8 +30,8 @@ mod kalman;
 mod motion;
 
 pub use assignment::assign;
-pub use kalman::{Gaussian, fuse_confidence};
-pub use motion::{Carriers, MotionModel, NoCarriers, predict};
+pub use kalman::{Gaussian, fuse_absence, fuse_confidence};
+pub use motion::{Carriers, MotionModel, NoCarriers, carried, predict};
 
 /// The core segment of observed objects.
 pub const OBJECT_INSTANCES: &str = "ObjectInstances";
@@ -46,11 +48,15 @@ pub struct Settings {
     pub drift: f64,
     /// The same for a carried object, because grasps slip.
     pub carried_drift: f64,
+    /// Probability of finding what is looked for, in view and not hidden.
+    pub detection: f64,
+    /// What has less confidence after looks that did not find it is removed.
+    pub gone: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5 }
+        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5, detection: 0.7, gone: 0.05 }
     }
 }
 
@@ -105,13 +111,28 @@ impl Updater {
     /// # Errors
     /// [`MemoryError::Schema`] when an observation's covariance is invalid; as [`Memory::commit`].
     pub async fn update(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
-        if observations.is_empty() {
-            return Ok(Vec::new());
-        }
+        self.update_from(observations, None).await
+    }
+
+    /// As [`Self::update`], of all observations of a look. What it did not find loses confidence, in the same commit.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub async fn update_from(
+        &self,
+        observations: &[Observation],
+        look: Option<&Look>,
+    ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
         let mut tries = 0;
         loop {
-            let updates = self.updates(observations).await?;
+            let mut updates = self.updates(observations).await?;
             let ids: Vec<EntityId> = updates.iter().map(|update| update.id.clone()).collect();
+            if let Some(look) = look {
+                updates.extend(self.missed(look, &ids).await?);
+            }
+            if updates.is_empty() {
+                return Ok(Vec::new());
+            }
             tries += 1;
             match self.memory.commit(updates).await {
                 Ok(versions) => return Ok(ids.into_iter().zip(versions).collect()),
@@ -150,6 +171,37 @@ impl Updater {
         }
         updates.sort_by_key(|(observation, _)| *observation);
         Ok(updates.into_iter().map(|(_, update)| update).collect())
+    }
+
+    /// What a look should have found and did not.
+    async fn missed(&self, look: &Look, found: &[EntityId]) -> Result<Vec<Commit>, MemoryError> {
+        let mut updates = Vec::new();
+        for segment in distinct(look.classes.iter().map(|(segment, _)| segment.as_str())) {
+            let pattern = Pattern::segment(segment).of_provider(&self.provider);
+            let held = self.memory.query(&Query::latest(pattern)).await?;
+            let sought = |entity: &&Arc<Snapshot>| {
+                let class = entity.attribute("class").and_then(Value::as_str);
+                look.classes.iter().any(|(of, sought)| of == segment && Some(sought.as_str()) == class)
+                    && !found.contains(&entity.id)
+                    && entity.instance().is_some_and(|i| MotionModel::of(i) == MotionModel::Static)
+            };
+            for entity in held.iter().filter(sought) {
+                let place = predict(entity, look.stamp_ns, &held, &*self.carriers, &self.settings);
+                let shown = |(frame, place): &(Frame, Gaussian)| {
+                    *frame == look.frame && look.shows(&Point3::from(place.mean()))
+                };
+                if let (Some(instance), true) = (entity.instance(), place.as_ref().is_some_and(shown)) {
+                    let confidence = fuse_absence(instance.confidence, self.settings.detection);
+                    let left = Instance { confidence, ..instance.clone() };
+                    let instances = if confidence < self.settings.gone { Vec::new() } else { vec![left] };
+                    // The time of what it says stays that at which it was seen last.
+                    let (id, referenced_ns) = (entity.id.clone(), entity.referenced_ns);
+                    let update = Commit { id, referenced_ns, instances, expected_version: None };
+                    updates.push(update.expecting(entity.version));
+                }
+            }
+        }
+        Ok(updates)
     }
 
     /// Matches the observations of one class to entities, with the entities' predicted positions.

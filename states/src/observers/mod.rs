@@ -1,9 +1,10 @@
-//! Observers: tasks that publish sensor data on channels, which charts watch and skills read; and one that tells the robot what
-//! memory knows of its surroundings.
+//! Observers: tasks that publish sensor data on channels, which charts watch and skills read; one that tells the robot what
+//! memory knows of its surroundings, and one that tells memory where the things are that the robot carries.
 //!
 //! [`channels`] describes them, with fields, units and rates; `armarium channels` prints it.
 
 mod arrival;
+mod carried;
 mod hand;
 mod surroundings;
 mod wrist;
@@ -90,5 +91,6 @@ pub fn start(equipment: &Equipment, channels: &Channels) -> Vec<JoinHandle<()>> 
         tokio::spawn(wrist::observe(equipment.clone(), channels.clone())),
         tokio::spawn(hand::observe(equipment.clone(), channels.clone())),
         tokio::spawn(surroundings::observe(equipment.clone())),
+        tokio::spawn(carried::observe(equipment.clone())),
     ]
 }

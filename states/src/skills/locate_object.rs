@@ -39,7 +39,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
     let mut sight = equipment.look(ObjectStep::on_a_table(equipment.images.calibration(), model, name));
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let (mut sights, mut table) = (Vec::new(), None);
+    let (mut sights, mut table, mut look) = (Vec::new(), None, None);
     let (mut waited, mut looked) = (0.0, 0);
     while sights.len() < DETECTIONS {
         let (_, dt) = senses.next().await?;
@@ -55,14 +55,15 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         looked += 1;
         table = table.or_else(|| frame.of_class("table").cloned());
         sights.extend(frame.of_class(name).cloned());
+        look.clone_from(&frame.look);
     }
     drop(sight);
     let tilt = table.as_ref().and_then(seen_pose).map(|pose| Surface::of(pose).rotation());
     let seen = median(sights, &tilt.unwrap_or_else(UnitQuaternion::identity));
     let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
     let seen: Vec<Observation> = table.into_iter().chain(seen).collect();
-    let seen: Vec<_> = seen.into_iter().map(|seen| equipment.remembered().placed(seen)).collect();
-    let written = updater.update(&seen).await.map_err(failed)?;
+    let (seen, look) = equipment.remembered().placed(seen, look);
+    let written = updater.update_from(&seen, look.as_ref()).await.map_err(failed)?;
     let id = written.into_iter().map(|(id, _)| id).next_back();
     let id = id.ok_or_else(|| Failure::new("nothing was written to memory"))?;
     let known = equipment.memory.latest(&id).await.map_err(failed)?;

@@ -11,7 +11,7 @@ use async_trait::async_trait;
 use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
-use armarium_values::Observation;
+use armarium_values::{Look, Observation};
 
 use crate::frame::{ImageError, RgbImage};
 use crate::providers::{FrameSender, ImageProvider, PixelFormat, RawFrame, RawImage};
@@ -30,6 +30,21 @@ pub struct SeenBy {
     pub stamp_ns: u64,
 }
 
+/// What a processor has seen in one frame of each of its providers.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// What it observed.
+    pub observations: Vec<Observation>,
+    /// What it looked for, and where that would have been seen; `None` where nothing follows from what it did not find.
+    pub look: Option<Look>,
+}
+
+impl From<Vec<Observation>> for Seen {
+    fn from(observations: Vec<Observation>) -> Self {
+        Self { observations, look: None }
+    }
+}
+
 /// A processing step: takes one frame of each of its providers and returns what it observes. It may keep state between steps.
 pub trait ImageProcessor: Send {
     /// Its name.
@@ -40,7 +55,7 @@ pub trait ImageProcessor: Send {
     ///
     /// # Errors
     /// [`ImageError`] when the frames do not suit this processor; later ones may.
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError>;
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Seen, ImageError>;
 
     /// A picture of the frames that were processed last with what was seen in them, for people; `None` when the processor draws
     /// nothing.
@@ -54,7 +69,7 @@ pub trait ImageProcessor: Send {
 #[async_trait]
 pub trait ResultSink: Send + Sync {
     /// Takes what was observed in one frame. Returns whether more is wanted; `false` ends the loop.
-    async fn take(&self, by: &SeenBy, seen: Vec<Observation>) -> bool;
+    async fn take(&self, by: &SeenBy, seen: Seen) -> bool;
 }
 
 /// When a processor takes frames.

@@ -51,7 +51,7 @@ struct Count {
 
 #[async_trait]
 impl ResultSink for Count {
-    async fn take(&self, source: &SeenBy, _: Vec<Observation>) -> bool {
+    async fn take(&self, source: &SeenBy, _: Seen) -> bool {
         assert_eq!(source.provider, "camera");
         self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
     }
@@ -101,10 +101,10 @@ impl ImageProcessor for Look {
         "look"
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Seen, ImageError> {
         let numbers = frames.iter().map(|frame| frame.number).collect();
         self.0.try_lock().expect("nobody else reads it meanwhile").push(numbers);
-        Ok(Vec::new())
+        Ok(Seen::default())
     }
 }
 
@@ -166,9 +166,9 @@ impl ImageProcessor for Slow {
     }
 
     #[expect(clippy::disallowed_methods, reason = "it is busy, as a program is that computes for long")]
-    fn process(&mut self, _: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
+    fn process(&mut self, _: &[Arc<RawFrame>]) -> Result<Seen, ImageError> {
         std::thread::sleep(Duration::from_millis(300));
-        Ok(Vec::new())
+        Ok(Seen::default())
     }
 }
 
