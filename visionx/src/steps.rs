@@ -1,6 +1,7 @@
 //! The trackers as processors: a [`StereoStep`] works on one provider of stereo pairs, and [`OfStereo`] turns it
 //! into an [`ImageProcessor`]. What a tracker finds is said here, once, as observations for memory.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::{Frame, Look, Observation, ObservedPlace, Pose, Value, Vector};
@@ -14,7 +15,7 @@ use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
 use crate::processor::{ImageProcessor, Seen};
 use crate::providers::{RawFrame, StereoPair};
 use crate::tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
-use crate::tracking::hand::{HandObservation, HandObserver};
+use crate::tracking::hand::{Gesture, GestureOverTime, HandObservation, HandObserver, ShownGesture};
 use crate::tracking::{FingerTipTracking, TrackedFingertip};
 
 /// The frame of the left camera in what a step observes.
@@ -175,16 +176,18 @@ fn root_pose(pose: &Isometry3<f64>) -> Value {
     Value::Pose(Pose::new(Frame::root(), pose))
 }
 
-/// A person's hand as `HumanHands/.../hand`, with its `gesture`; `none` without a hand.
+/// A person's hand as `HumanHands/.../hand`, with its `gesture` in this frame, `none` without a hand, and what it has `shown` clearly
+/// and for how long.
 pub struct HandStep {
     observer: HandObserver,
+    over_time: GestureOverTime,
     last: Option<HandObservation>,
 }
 
 impl HandStep {
     /// The step around an observer.
     pub fn new(observer: HandObserver) -> Self {
-        Self { observer, last: None }
+        Self { observer, over_time: GestureOverTime::default(), last: None }
     }
 }
 
@@ -195,7 +198,8 @@ impl StereoStep for HandStep {
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         self.last = self.observer.update(frame);
-        let observation = Observation::new(HANDS, "hand", frame.stamp_ns);
+        let shown = self.over_time.update(frame.stamp_ns, self.last.as_ref(), &frame.root_from_left);
+        let observation = Observation::new(HANDS, "hand", frame.stamp_ns).with("shown", said(shown));
         let Some(hand) = &self.last else { return vec![observation.with("gesture", "none")] };
         let tips = hand.fingertips.iter().filter_map(|tip| tip.in_left);
         let seen = observation
@@ -217,6 +221,19 @@ impl StereoStep for HandStep {
 
 /// Where something is expected at a time (ns): in the root frame, m.
 type Expected = Box<dyn Fn(u64) -> Option<Point3<f64>> + Send>;
+
+/// What a hand has shown, as an attribute.
+fn said(shown: &ShownGesture) -> Value {
+    let in_root = |v: Vector3<f64>| Value::Vector(Vector::new(Frame::root(), &v));
+    let mut fields = BTreeMap::from([
+        ("gesture".to_owned(), Value::from(shown.gesture.map_or("none", Gesture::name))),
+        ("for".to_owned(), Value::Float(shown.for_s)),
+    ]);
+    fields.extend(shown.palm.map(|palm| ("position".to_owned(), in_root(palm.coords))));
+    fields.extend(shown.direction.map(|direction| ("direction".to_owned(), in_root(direction))));
+    fields.extend(shown.seen_at.map(|palm| ("seen_at".to_owned(), in_root(palm.coords))));
+    Value::Map(fields)
+}
 
 /// A thing of one colour, as `ObjectInstances` of its class. One that is not seen is not observed.
 pub struct MarkerStep {

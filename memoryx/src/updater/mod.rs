@@ -63,6 +63,15 @@ impl Default for Settings {
 /// Core segments of which the last observation counts alone.
 const LAST_COUNTS: [&str; 3] = ["HumanHands", "HumanPoses", "EnvironmentModels"];
 
+/// What an observation says that is not known yet.
+#[derive(Clone, Copy)]
+enum Evidence {
+    /// It was made now, apart from all others.
+    New,
+    /// It may hold what is known here already.
+    FusedElsewhere,
+}
+
 /// The entity of an observation.
 struct Match<'h> {
     /// The index of the observation.
@@ -111,7 +120,16 @@ impl Updater {
     /// # Errors
     /// [`MemoryError::Schema`] when an observation's covariance is invalid; as [`Memory::commit`].
     pub async fn update(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
-        self.update_from(observations, None).await
+        self.write(observations, None, Evidence::New).await
+    }
+
+    /// As [`Self::update`], of what was already fused elsewhere, such as the entities of another agent's memory: places are joined by
+    /// covariance intersection, and neither place nor confidence become surer for being told again.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub async fn adopt(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
+        self.write(observations, None, Evidence::FusedElsewhere).await
     }
 
     /// As [`Self::update`], of all observations of a look. What it did not find loses confidence, in the same commit.
@@ -123,9 +141,18 @@ impl Updater {
         observations: &[Observation],
         look: Option<&Look>,
     ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
+        self.write(observations, look, Evidence::New).await
+    }
+
+    async fn write(
+        &self,
+        observations: &[Observation],
+        look: Option<&Look>,
+        evidence: Evidence,
+    ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
         let mut tries = 0;
         loop {
-            let mut updates = self.updates(observations).await?;
+            let mut updates = self.updates(observations, evidence).await?;
             let ids: Vec<EntityId> = updates.iter().map(|update| update.id.clone()).collect();
             if let Some(look) = look {
                 updates.extend(self.missed(look, &ids).await?);
@@ -142,7 +169,11 @@ impl Updater {
         }
     }
 
-    async fn updates(&self, observations: &[Observation]) -> Result<Vec<Commit>, MemoryError> {
+    async fn updates(
+        &self,
+        observations: &[Observation],
+        evidence: Evidence,
+    ) -> Result<Vec<Commit>, MemoryError> {
         let classes = self.memory.segment(OBJECT_CLASSES).await?;
         let mut updates = Vec::new();
         for segment in distinct(observations.iter().map(|o| o.segment.as_str())) {
@@ -158,7 +189,7 @@ impl Updater {
                 for matched in self.match_class(observations, &seen, &known, &held)? {
                     let observation = &observations[matched.observation];
                     let update = match matched.entity {
-                        Some(entity) => self.fused(observation, entity, matched.predicted)?,
+                        Some(entity) => self.fused(observation, entity, (matched.predicted, evidence))?,
                         None => {
                             let name = free_name(class, &names);
                             names.push(name.clone());
@@ -269,7 +300,7 @@ impl Updater {
         &self,
         observation: &Observation,
         entity: &Snapshot,
-        prior: Option<(Frame, Gaussian)>,
+        (prior, evidence): (Option<(Frame, Gaussian)>, Evidence),
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
@@ -284,8 +315,18 @@ impl Updater {
                 // What was observed without a place stays where it was, and is no surer for that.
                 let place = match measured {
                     Some((frame, seen)) => {
-                        confidence = fuse_confidence(confidence, observation.confidence);
-                        Some((frame, prior.and_then(|(_, prior)| prior.fuse(&seen)).unwrap_or(seen)))
+                        let prior = prior.map(|(_, prior)| prior);
+                        let joined = match evidence {
+                            Evidence::New => {
+                                confidence = fuse_confidence(confidence, observation.confidence);
+                                prior.and_then(|prior| prior.fuse(&seen))
+                            }
+                            Evidence::FusedElsewhere => {
+                                confidence = confidence.max(observation.confidence);
+                                prior.and_then(|prior| prior.intersect(&seen))
+                            }
+                        };
+                        Some((frame, joined.unwrap_or(seen)))
                     }
                     None => prior,
                 };

@@ -237,3 +237,21 @@ async fn what_should_be_seen_and_is_not_is_doubted_and_forgotten() {
     assert!(confidence("cup").is_some(), "in a hand");
     assert!(confidence("cup_4").is_some(), "seen");
 }
+
+#[tokio::test(start_paused = true)]
+async fn what_others_have_fused_is_no_new_evidence() {
+    let memory = memory();
+    let updater = updater(&memory).with_settings(Settings { drift: 0.0, ..Settings::default() });
+    updater.update(&[cup(0.0, 0.1, 0.0)]).await.unwrap();
+    for _ in 0..10 {
+        updater.adopt(&[cup(0.0, 0.11, 0.0)]).await.unwrap();
+    }
+    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let instance = found.instance().unwrap();
+    assert!(
+        (instance.covariance["position"][0] - VARIANCE).abs() < 1e-9,
+        "no surer: {:?}",
+        instance.covariance
+    );
+    assert_eq!(instance.confidence, 0.6);
+}

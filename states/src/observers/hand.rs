@@ -51,7 +51,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
 /// The fields of the channel.
 fn describe(equipment: &Equipment, channels: &Channels, seen: &Observation) -> Value {
     let attribute = |name: &str| seen.attributes.get(name).cloned().map(|value| (name.to_owned(), value));
-    let told = ["gesture", "hidden", "direction"].into_iter().filter_map(attribute);
+    let told = ["gesture", "hidden", "direction", "shown"].into_iter().filter_map(attribute);
     let mut fields: BTreeMap<String, Value> = told.collect();
     fields.insert("confidence".into(), seen.confidence.into());
     if let Some(place) = &seen.place {

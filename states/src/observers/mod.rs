@@ -36,6 +36,11 @@ fn hand() -> ChannelDescription {
             "to the TCP of the arm that executes the motion, or that works",
         ),
         ("hidden", Type::FLOAT, "the share of its outline that is hidden, 0 to 1"),
+        (
+            "shown",
+            Type::map(Type::Any),
+            "what it showed clearly: `gesture`, for how long (`for`, s), `position` and `direction` then; and where it was `seen_at` last",
+        ),
         ("came_at", Type::quantity(Unit::RAD), "phase of the running motion at which it came to rest"),
     ];
     ChannelDescription {
