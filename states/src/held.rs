@@ -110,6 +110,8 @@ fn moving(
     let position = Vector::new(Frame::root(), &root_from_thing.translation.vector);
     attributes.insert("position".into(), Value::Vector(position));
     attributes.extend(model.attributes());
+    // It is this agent's knowledge now, whoever told it before.
+    attributes.remove("origin");
     let confidence = was.instance().map_or(1.0, |instance| instance.confidence);
     Commit::new(id.clone(), stamp_ns, attributes).with_confidence(confidence)
 }

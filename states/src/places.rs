@@ -6,7 +6,7 @@ use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;
-use armarium_values::{Frame, Look, Observation, Value};
+use armarium_values::{Frame, Observation, Search, Value};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use parking_lot::RwLock;
 
@@ -45,14 +45,14 @@ impl Remembered<'_> {
     pub(crate) fn placed(
         &self,
         seen: Vec<Observation>,
-        look: Option<Look>,
-    ) -> (Vec<Observation>, Option<Look>) {
+        search: Option<Search>,
+    ) -> (Vec<Observation>, Option<Search>) {
         let (root, world) = (Frame::root(), Frame(WORLD.to_owned()));
         let Ok(world_from_root) = self.transforms.read().transform(&world, &root, NOW) else {
-            return (seen, look);
+            return (seen, search);
         };
         let moved = |seen: Observation| seen.moved(&root, &world, &world_from_root);
-        (seen.into_iter().map(moved).collect(), look.map(|look| look.moved(&world, &world_from_root)))
+        (seen.into_iter().map(moved).collect(), search.map(|search| search.moved(&world, &world_from_root)))
     }
 }
 

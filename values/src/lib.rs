@@ -6,9 +6,9 @@
 pub mod expr;
 mod frame_change;
 mod geometry;
-mod look;
 mod observation;
 pub mod report;
+mod search;
 pub mod transforms;
 mod types;
 mod unit;
@@ -16,8 +16,8 @@ mod value;
 
 pub use frame_change::FrameChange;
 pub use geometry::{Frame, Pose, Vector, Wrench};
-pub use look::Look;
 pub use observation::{NotAnObservation, Observation, ObservedPlace};
+pub use search::Search;
 pub use types::{ConvertError, Fit, Type};
 pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity, split_quantity};
 pub use value::{Reference, Value};

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_values::{Frame, Look, Observation};
+use armarium_values::{Frame, Observation, Search};
 use nalgebra::Isometry3;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -11,7 +11,7 @@ use tokio::task::JoinHandle;
 use crate::frame::ImageError;
 use crate::image_source::ImageSource;
 use crate::processor::Workers;
-use crate::steps::{StereoStep, look_of, observations_of};
+use crate::steps::{StereoStep, observations_of, search_of};
 
 /// What a processor observed in one frame, in the root frame.
 #[derive(Clone, Debug)]
@@ -23,7 +23,7 @@ pub struct Sighting {
     /// What was observed.
     pub observations: Vec<Observation>,
     /// What was looked for, and where that would have been seen.
-    pub look: Option<Look>,
+    pub search: Option<Search>,
 }
 
 impl Sighting {
@@ -70,7 +70,7 @@ impl Sight {
                             stamp_ns,
                             root_from_left,
                             observations,
-                            look: look_of(step, &frame, camera),
+                            search: search_of(step, &frame, camera),
                         }
                     })
                     .await;

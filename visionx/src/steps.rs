@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Look, Observation, ObservedPlace, Pose, Value, Vector};
+use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Value, Vector};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
@@ -100,11 +100,11 @@ const BORDER: f64 = 20.0;
 const BEFORE: f64 = 0.05;
 
 /// That a step has looked at a frame of this camera, in the root frame; `None` where it looks for nothing.
-pub(crate) fn look_of(
+pub(crate) fn search_of(
     step: &dyn StereoStep,
     frame: &Arc<StereoFrame>,
     camera: PinholeCamera,
-) -> Option<Look> {
+) -> Option<Search> {
     let classes = step.looks_for();
     if classes.is_empty() {
         return None;
@@ -118,7 +118,7 @@ pub(crate) fn look_of(
         let measured = shown.depth.as_ref().map(|depth| depth.at(px.x as u32, px.y as u32));
         inside && measured.is_none_or(|depth| f64::from(depth) > in_left.z - BEFORE)
     };
-    Some(Look::new(frame.stamp_ns, classes, &Frame::root(), open))
+    Some(Search::new(frame.stamp_ns, classes, &Frame::root(), open))
 }
 
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].
@@ -153,8 +153,8 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         };
         let pair = Arc::new(self.pair.frame(frame)?);
         let observations = observations_of(&mut self.step, &pair, &frame_of_root);
-        let look = look_of(&self.step, &pair, self.pair.calibration().camera);
-        Ok(Seen { observations, look: look.filter(|_| frame.root_from_camera.is_some()) })
+        let search = search_of(&self.step, &pair, self.pair.calibration().camera);
+        Ok(Seen { observations, search: search.filter(|_| frame.root_from_camera.is_some()) })
     }
 
     fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {

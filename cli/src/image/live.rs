@@ -184,7 +184,7 @@ async fn tell(
     while let Some((by, seen)) = told.recv().await {
         writeln!(out, "{}", line(&by, &seen.observations))?;
         if let Some(updater) = &remembers {
-            updater.update_from(&seen.observations, seen.look.as_ref()).await.map_err(failed)?;
+            updater.update_from(&seen.observations, seen.search.as_ref()).await.map_err(failed)?;
         }
     }
     Ok(())

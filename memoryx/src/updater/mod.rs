@@ -9,15 +9,15 @@
 //! An observation is addressed to a core segment. One without a place says only what else is observed. People's hands and bodies
 //! move by themselves, and each picture shows another part of a table: of these segments the last observation counts alone. It
 //! is of the nearest known entity of its class, however far that is, and one without a place (no hand is there) is of all.
-//! Where a [`Look`] says what was looked for and where it would have been seen, what is known to be there and was not found loses
-//! confidence, and is removed in the end. What is carried is not doubted: a hand hides it.
+//! Where a [`Search`] says what was looked for and where it would have been seen, what is known to be there and was not found has moved
+//! to where one was found that nobody knew; or it loses confidence, and is removed in the end. What is carried is not doubted: a hand hides it.
 //! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Look, Observation, ObservedPlace, Value, Vector};
-use nalgebra::{Matrix3, Point3};
+use armarium_values::{Frame, Observation, ObservedPlace, Search, Value, Vector};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
@@ -70,6 +70,8 @@ enum Evidence {
     New,
     /// It may hold what is known here already.
     FusedElsewhere,
+    /// The thing is no longer where it was known to be.
+    Moved,
 }
 
 /// The entity of an observation.
@@ -80,6 +82,8 @@ struct Match<'h> {
     entity: Option<&'h Arc<Snapshot>>,
     /// The predicted position of that entity, with its frame.
     predicted: Option<(Frame, Gaussian)>,
+    /// It is not where it should have been seen, but here.
+    moved: bool,
 }
 
 /// Writes observations into the provider segments of one process.
@@ -132,30 +136,30 @@ impl Updater {
         self.write(observations, None, Evidence::FusedElsewhere).await
     }
 
-    /// As [`Self::update`], of all observations of a look. What it did not find loses confidence, in the same commit.
+    /// As [`Self::update`], of all observations of a search. What it did not find loses confidence, in the same commit.
     ///
     /// # Errors
     /// As [`Self::update`].
     pub async fn update_from(
         &self,
         observations: &[Observation],
-        look: Option<&Look>,
+        search: Option<&Search>,
     ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
-        self.write(observations, look, Evidence::New).await
+        self.write(observations, search, Evidence::New).await
     }
 
     async fn write(
         &self,
         observations: &[Observation],
-        look: Option<&Look>,
+        search: Option<&Search>,
         evidence: Evidence,
     ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
         let mut tries = 0;
         loop {
-            let mut updates = self.updates(observations, evidence).await?;
+            let mut updates = self.updates(observations, search, evidence).await?;
             let ids: Vec<EntityId> = updates.iter().map(|update| update.id.clone()).collect();
-            if let Some(look) = look {
-                updates.extend(self.missed(look, &ids).await?);
+            if let Some(search) = search {
+                updates.extend(self.missed(search, &ids).await?);
             }
             if updates.is_empty() {
                 return Ok(Vec::new());
@@ -172,6 +176,7 @@ impl Updater {
     async fn updates(
         &self,
         observations: &[Observation],
+        search: Option<&Search>,
         evidence: Evidence,
     ) -> Result<Vec<Commit>, MemoryError> {
         let classes = self.memory.segment(OBJECT_CLASSES).await?;
@@ -186,7 +191,12 @@ impl Updater {
                 let is_of_class =
                     |s: &&Arc<Snapshot>| s.attribute("class").and_then(Value::as_str) == Some(class);
                 let known: Vec<&Arc<Snapshot>> = held.iter().filter(is_of_class).collect();
-                for matched in self.match_class(observations, &seen, &known, &held)? {
+                let mut matches = self.match_class(observations, &seen, &known, &held)?;
+                if let Some(search) = search {
+                    self.find_moved(search, observations, (&known, &held), &mut matches)?;
+                }
+                for matched in matches {
+                    let evidence = if matched.moved { Evidence::Moved } else { evidence };
                     let observation = &observations[matched.observation];
                     let update = match matched.entity {
                         Some(entity) => self.fused(observation, entity, (matched.predicted, evidence))?,
@@ -204,32 +214,65 @@ impl Updater {
         Ok(updates.into_iter().map(|(_, update)| update).collect())
     }
 
-    /// What a look should have found and did not.
-    async fn missed(&self, look: &Look, found: &[EntityId]) -> Result<Vec<Commit>, MemoryError> {
+    /// Where an entity should have been seen by a search; `None` where it is carried, or out of view, or was not looked for.
+    fn sought_at(&self, search: &Search, entity: &Snapshot, held: &[Arc<Snapshot>]) -> Option<Vector3<f64>> {
+        let class = entity.attribute("class").and_then(Value::as_str)?;
+        let is_sought = |(segment, of): &(String, String)| segment == entity.id.segment() && of == class;
+        let stands = MotionModel::of(entity.instance()?) == MotionModel::Static;
+        if !stands || !search.classes.iter().any(is_sought) {
+            return None;
+        }
+        let (frame, place) = predict(entity, search.stamp_ns, held, &*self.carriers, &self.settings)?;
+        let place = place.mean();
+        (frame == search.frame && search.shows(&Point3::from(place))).then_some(place)
+    }
+
+    /// A thing that is not where it should have been seen, while another place has one that nobody knew, has moved there.
+    fn find_moved<'h>(
+        &self,
+        search: &Search,
+        observations: &[Observation],
+        (known, held): (&[&'h Arc<Snapshot>], &[Arc<Snapshot>]),
+        matches: &mut [Match<'h>],
+    ) -> Result<(), MemoryError> {
+        let found =
+            |entity: &Arc<Snapshot>| matches.iter().any(|m| m.entity.is_some_and(|e| e.id == entity.id));
+        let missed = known.iter().filter(|entity| !found(entity));
+        let mut missed: Vec<(&'h Arc<Snapshot>, Vector3<f64>)> =
+            missed.filter_map(|entity| Some((*entity, self.sought_at(search, entity, held)?))).collect();
+        for matched in matches.iter_mut().filter(|matched| matched.entity.is_none()) {
+            let Some((frame, place)) = self.measured(&observations[matched.observation])? else { continue };
+            if frame != search.frame {
+                continue;
+            }
+            let away = |(_, was): &(&Arc<Snapshot>, Vector3<f64>)| (was - place.mean()).norm();
+            let nearest = (0..missed.len()).min_by(|&a, &b| away(&missed[a]).total_cmp(&away(&missed[b])));
+            if let Some(nearest) = nearest {
+                (matched.entity, matched.moved) = (Some(missed.remove(nearest).0), true);
+            }
+        }
+        Ok(())
+    }
+
+    /// What a search should have found and did not.
+    async fn missed(&self, search: &Search, found: &[EntityId]) -> Result<Vec<Commit>, MemoryError> {
         let mut updates = Vec::new();
-        for segment in distinct(look.classes.iter().map(|(segment, _)| segment.as_str())) {
+        for segment in distinct(search.classes.iter().map(|(segment, _)| segment.as_str())) {
             let pattern = Pattern::segment(segment).of_provider(&self.provider);
             let held = self.memory.query(&Query::latest(pattern)).await?;
-            let sought = |entity: &&Arc<Snapshot>| {
-                let class = entity.attribute("class").and_then(Value::as_str);
-                look.classes.iter().any(|(of, sought)| of == segment && Some(sought.as_str()) == class)
-                    && !found.contains(&entity.id)
-                    && entity.instance().is_some_and(|i| MotionModel::of(i) == MotionModel::Static)
-            };
-            for entity in held.iter().filter(sought) {
-                let place = predict(entity, look.stamp_ns, &held, &*self.carriers, &self.settings);
-                let shown = |(frame, place): &(Frame, Gaussian)| {
-                    *frame == look.frame && look.shows(&Point3::from(place.mean()))
+            for entity in held.iter().filter(|entity| !found.contains(&entity.id)) {
+                let Some(instance) =
+                    entity.instance().filter(|_| self.sought_at(search, entity, &held).is_some())
+                else {
+                    continue;
                 };
-                if let (Some(instance), true) = (entity.instance(), place.as_ref().is_some_and(shown)) {
-                    let confidence = fuse_absence(instance.confidence, self.settings.detection);
-                    let left = Instance { confidence, ..instance.clone() };
-                    let instances = if confidence < self.settings.gone { Vec::new() } else { vec![left] };
-                    // The time of what it says stays that at which it was seen last.
-                    let (id, referenced_ns) = (entity.id.clone(), entity.referenced_ns);
-                    let update = Commit { id, referenced_ns, instances, expected_version: None };
-                    updates.push(update.expecting(entity.version));
-                }
+                let confidence = fuse_absence(instance.confidence, self.settings.detection);
+                let left = Instance { confidence, ..instance.clone() };
+                let instances = if confidence < self.settings.gone { Vec::new() } else { vec![left] };
+                // The time of what it says stays that at which it was seen last.
+                let (id, referenced_ns) = (entity.id.clone(), entity.referenced_ns);
+                let update = Commit { id, referenced_ns, instances, expected_version: None };
+                updates.push(update.expecting(entity.version));
             }
         }
         Ok(updates)
@@ -249,8 +292,12 @@ impl Updater {
             && observation.place.is_none()
             && !known.is_empty()
         {
-            let all =
-                known.iter().map(|entity| Match { observation: *at, entity: Some(entity), predicted: None });
+            let all = known.iter().map(|entity| Match {
+                observation: *at,
+                entity: Some(entity),
+                predicted: None,
+                moved: false,
+            });
             return Ok(all.collect());
         }
         let mut predicted = Vec::new();
@@ -290,8 +337,9 @@ impl Updater {
                     observation: *at,
                     entity: Some(known[column]),
                     predicted: predicted[row * known.len() + column].clone(),
+                    moved: false,
                 },
-                None => Match { observation: *at, entity: None, predicted: None },
+                None => Match { observation: *at, entity: None, predicted: None, moved: false },
             })
             .collect())
     }
@@ -324,6 +372,10 @@ impl Updater {
                             Evidence::FusedElsewhere => {
                                 confidence = confidence.max(observation.confidence);
                                 prior.and_then(|prior| prior.intersect(&seen))
+                            }
+                            Evidence::Moved => {
+                                confidence = observation.confidence;
+                                None
                             }
                         };
                         Some((frame, joined.unwrap_or(seen)))

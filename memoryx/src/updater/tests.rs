@@ -190,9 +190,9 @@ async fn what_is_observed_without_a_place_is_where_it_was_and_no_surer() {
 }
 
 /// A look for cups that would have seen everything left of `x` < 0.5.
-fn look(seconds: f64) -> Look {
+fn look(seconds: f64) -> Search {
     let classes = vec![(OBJECT_INSTANCES.to_owned(), "cup".to_owned())];
-    Look::new((seconds * 1e9) as u64, classes, &Frame::root(), |point| point.x < 0.5)
+    Search::new((seconds * 1e9) as u64, classes, &Frame::root(), |point| point.x < 0.5)
 }
 
 #[tokio::test(start_paused = true)]
@@ -228,14 +228,31 @@ async fn what_should_be_seen_and_is_not_is_doubted_and_forgotten() {
             .referenced_ns,
         200_000_000
     );
-    let seen_elsewhere = [cup(0.6, 0.2, 0.4)];
     for _ in 0..12 {
-        updater.update_from(&seen_elsewhere, Some(&look(0.6))).await.unwrap();
+        updater.update_from(&[], Some(&look(0.6))).await.unwrap();
     }
     assert_eq!(confidence("cup_2"), None, "forgotten");
     assert_eq!(confidence("cup_3"), Some(before), "out of view");
     assert!(confidence("cup").is_some(), "in a hand");
-    assert!(confidence("cup_4").is_some(), "seen");
+    assert_eq!(confidence("cup_4"), None);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_not_where_it_was_but_elsewhere_has_moved() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let first = updater.update(&[cup(0.0, 0.0, 0.0), cup(0.0, 0.3, 0.0)]).await.unwrap();
+    assert_eq!(names(&first), [("cup", 1), ("cup_2", 1)]);
+    let both = [cup(0.1, 0.3, 0.0), cup(0.1, -0.2, 0.1)];
+    assert_eq!(
+        names(&updater.update_from(&both, Some(&look(0.1))).await.unwrap()),
+        [("cup_2", 2), ("cup", 2)]
+    );
+    let moved = memory.latest_now(&first[0].0).unwrap();
+    assert_eq!(moved.attribute("position").and_then(Value::as_vector3), Some([-0.2, 0.1, 1.0]));
+    assert_eq!(moved.instance().unwrap().confidence, 0.6);
+    // Where nobody has looked, nothing is missed: it is another one.
+    assert_eq!(names(&updater.update(&[cup(0.2, 0.0, 0.4)]).await.unwrap()), [("cup_3", 1)]);
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,7 +1,7 @@
 //! What memory knows of places, such as a table, for the robot's guard: its bodies keep their distance from them. And where the
-//! robot stands in the world, for the frames.
+//! robot, other agents and those places stand, for the frames.
 
-use armarium_memoryx::Snapshot;
+use armarium_memoryx::{Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
@@ -9,13 +9,18 @@ use tokio::sync::broadcast::error::RecvError;
 use crate::equipment::Equipment;
 use crate::places::places;
 
+/// The core segments that say where something stands.
+const AGENTS: &str = "AgentInstances";
+const PLACES: &str = "EnvironmentModels";
+
 /// Passes places in memory on to the robot, and the pose of its root frame on to the frames, now and whenever they change.
 pub(super) async fn observe(equipment: Equipment) {
     let mut updates = equipment.memory.subscribe();
     let mut known: Option<Vec<KnownBox>> = None;
     loop {
-        if let Ok(agents) = equipment.memory.segment("AgentInstances").await {
-            agents.iter().for_each(|agent| stand(&equipment, agent));
+        for segment in [AGENTS, PLACES] {
+            let known = equipment.memory.segment(segment).await.unwrap_or_default();
+            known.iter().for_each(|thing| stand(&equipment, thing));
         }
         match places(equipment.remembered()).await {
             Ok(places) if known.as_ref() != Some(&places) => {
@@ -31,7 +36,7 @@ pub(super) async fn observe(equipment: Equipment) {
         }
         loop {
             match updates.recv().await {
-                Ok(update) if !["EnvironmentModels", "AgentInstances"].contains(&update.id.segment()) => {}
+                Ok(update) if ![PLACES, AGENTS].contains(&update.id.segment()) => {}
                 Ok(_) | Err(RecvError::Lagged(_)) => break,
                 Err(RecvError::Closed) => return,
             }
@@ -39,15 +44,22 @@ pub(super) async fn observe(equipment: Equipment) {
     }
 }
 
-/// Tells the frames where the robot's root is, if that is what a snapshot says.
-fn stand(equipment: &Equipment, agent: &Snapshot) {
-    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == equipment.agent)
-    else {
-        return;
+/// Tells the frames where an agent's root or a place is, if that is what a snapshot says: the robot's own root is `root`, another agent's
+/// `alice/root`, and a table `table`.
+fn stand(equipment: &Equipment, thing: &Snapshot) {
+    let Some(Value::Pose(pose)) = thing.attribute("pose") else { return };
+    let name = thing.id.entity();
+    let (is_agent, model) = (thing.id.segment() == AGENTS, equipment.robot.model());
+    let frame = match is_agent {
+        true if name == equipment.agent => Frame::root(),
+        true => Frame(format!("{name}/root")),
+        // The robot knows best where its own links are.
+        false if name == WORLD || model.links().iter().any(|link| link.name == name) => return,
+        false => Frame(name.to_owned()),
     };
-    if pose.frame != Frame::root()
-        && let Err(error) = equipment.transforms.write().fix(&Frame::root(), pose)
-    {
-        tracing::warn!("the frames do not know where `{}` stands: {error}", agent.id);
+    // Somebody's correction of his cameras has a pose in their frame, and is no place.
+    let stands = [Frame::root(), Frame(WORLD.to_owned())].contains(&pose.frame) && pose.frame != frame;
+    if stands && let Err(error) = equipment.transforms.write().fix(&frame, pose) {
+        tracing::warn!("the frames do not know where `{}` stands: {error}", thing.id);
     }
 }

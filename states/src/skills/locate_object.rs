@@ -39,7 +39,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
     let mut sight = equipment.look(ObjectStep::on_a_table(equipment.images.calibration(), model, name));
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let (mut sights, mut table, mut look) = (Vec::new(), None, None);
+    let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
+    let (mut sights, mut table, mut search) = (Vec::new(), None, None);
     let (mut waited, mut looked) = (0.0, 0);
     while sights.len() < DETECTIONS {
         let (_, dt) = senses.next().await?;
@@ -55,15 +56,19 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         looked += 1;
         table = table.or_else(|| frame.of_class("table").cloned());
         sights.extend(frame.of_class(name).cloned());
-        look.clone_from(&frame.look);
+        search.clone_from(&frame.search);
+        if frame.of_class(name).is_none() {
+            // It is not where it may have been before.
+            let (_, missed) = equipment.remembered().placed(Vec::new(), search.clone());
+            updater.update_from(&[], missed.as_ref()).await.map_err(failed)?;
+        }
     }
     drop(sight);
     let tilt = table.as_ref().and_then(seen_pose).map(|pose| Surface::of(pose).rotation());
     let seen = median(sights, &tilt.unwrap_or_else(UnitQuaternion::identity));
-    let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
     let seen: Vec<Observation> = table.into_iter().chain(seen).collect();
-    let (seen, look) = equipment.remembered().placed(seen, look);
-    let written = updater.update_from(&seen, look.as_ref()).await.map_err(failed)?;
+    let (seen, search) = equipment.remembered().placed(seen, search);
+    let written = updater.update_from(&seen, search.as_ref()).await.map_err(failed)?;
     let id = written.into_iter().map(|(id, _)| id).next_back();
     let id = id.ok_or_else(|| Failure::new("nothing was written to memory"))?;
     let known = equipment.memory.latest(&id).await.map_err(failed)?;

@@ -11,7 +11,7 @@ use async_trait::async_trait;
 use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
-use armarium_values::{Look, Observation};
+use armarium_values::{Observation, Search};
 
 use crate::frame::{ImageError, RgbImage};
 use crate::providers::{FrameSender, ImageProvider, PixelFormat, RawFrame, RawImage};
@@ -36,12 +36,12 @@ pub struct Seen {
     /// What it observed.
     pub observations: Vec<Observation>,
     /// What it looked for, and where that would have been seen; `None` where nothing follows from what it did not find.
-    pub look: Option<Look>,
+    pub search: Option<Search>,
 }
 
 impl From<Vec<Observation>> for Seen {
     fn from(observations: Vec<Observation>) -> Self {
-        Self { observations, look: None }
+        Self { observations, search: None }
     }
 }
 

@@ -12,7 +12,7 @@ type Open = Arc<dyn Fn(&Point3<f64>) -> bool + Send + Sync>;
 
 /// That things of some classes were looked for at one time, and where they would have been seen.
 #[derive(Clone)]
-pub struct Look {
+pub struct Search {
     /// The time, ns; for images that of the exposure.
     pub stamp_ns: u64,
     /// What was looked for: core segments and classes.
@@ -22,8 +22,8 @@ pub struct Look {
     open: Open,
 }
 
-impl Look {
-    /// A look for these classes; `open` says of a point in `frame`, m, whether it was in view with nothing before it.
+impl Search {
+    /// A search for these classes; `open` says of a point in `frame`, m, whether it was in view with nothing before it.
     pub fn new(
         stamp_ns: u64,
         classes: Vec<(String, String)>,
@@ -38,7 +38,7 @@ impl Look {
         (self.open)(point)
     }
 
-    /// The same look for points in the frame `to`; `to_from_frame` is the pose of its frame there.
+    /// The same search for points in the frame `to`; `to_from_frame` is the pose of its frame there.
     #[must_use]
     pub fn moved(self, to: &Frame, to_from_frame: &Isometry3<f64>) -> Self {
         let (open, frame_from_to) = (self.open, to_from_frame.inverse());
@@ -47,10 +47,10 @@ impl Look {
     }
 }
 
-impl fmt::Debug for Look {
+impl fmt::Debug for Search {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { stamp_ns, classes, frame, open: _ } = self;
-        f.debug_struct("Look")
+        f.debug_struct("Search")
             .field("stamp_ns", stamp_ns)
             .field("classes", classes)
             .field("frame", frame)
