@@ -56,6 +56,15 @@ fn grasps_with(side: &str) {
     let held = held.expect("Bob told Alice");
     assert_eq!(held["origin"], "bob");
     assert!(held["error_m"].as_f64().is_some_and(|e| e < 0.02), "{held}");
+    // He carries it, and her memory carries it along.
+    let carried =
+        |row: &&Value| row["agent"] == "alice" && row["id"] == held["id"] && row["says"] == held["says"];
+    let carried: Vec<&Value> = rows.iter().filter(carried).collect();
+    let way = |row: &Value| row["position"][2].as_f64().expect("a place");
+    assert!(way(carried[carried.len() - 1]) > way(carried[0]) + 0.04, "he lifts it further");
+    let errors = carried.iter().map(|row| row["error_m"].as_f64().expect("the truth is known"));
+    let worst = errors.fold(0.0, f64::max);
+    assert!(worst < 0.01, "where it was carried, her memory was off by {worst} m");
     let relation = format!("sponge in {hand}");
     let about = format!("ObjectRelations/bob.bob/sponge-in-{side}_hand");
     assert!(knows("alice", &about, &relation).is_some());

@@ -9,6 +9,7 @@ use armarium_robot::Model;
 use armarium_runtime::chart::Registry;
 use armarium_simulator::{Handle, Simulation};
 use armarium_states::{Equipment, RunningMotions};
+use armarium_visionx::Workers;
 use armarium_visionx::providers::StereoView;
 
 use crate::agent_config::AgentConfig;
@@ -30,8 +31,9 @@ pub(crate) struct Backend {
 
 impl Backend {
     /// The simulated robot with its sensors.
-    pub(crate) fn simulated(robot: StagedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
+    pub(crate) fn simulated(mut robot: StagedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
         let (handle, ending) = (robot.handle.clone(), EndOnDrop(robot.handle));
+        robot.equipment.workers = Workers::Threads;
         Self {
             registry: catalog::registry(&robot.equipment, own),
             equipment: robot.equipment,
@@ -55,6 +57,7 @@ impl Backend {
         let equipment = Equipment {
             robot: Arc::clone(&eyes.robot),
             images: Arc::clone(&eyes.images),
+            workers: Workers::Threads,
             memory: Arc::<WorkingMemory>::clone(memory) as Arc<dyn Memory>,
             agent: config.name.clone(),
             seed: config.seed,

@@ -14,6 +14,7 @@ use armarium_simulator::world::RobotSpec;
 use armarium_simulator::{RobotInWorld, World};
 use armarium_states::{Equipment, observers};
 use armarium_values::report::{Block, Section};
+use armarium_visionx::Workers;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use parking_lot::Mutex;
@@ -116,7 +117,7 @@ impl OtherRobots {
     pub(crate) async fn prepare(
         config: &RunConfig,
         (world, file): (&World, Option<&Path>),
-        robots: &[RobotInWorld],
+        (robots, workers): (&[RobotInWorld], Workers),
         (network, among): (&Network, &Arc<InProcess>),
         logger: &RunLogger,
         console: &Arc<dyn Console>,
@@ -128,7 +129,8 @@ impl OtherRobots {
             let seed = config.seed.rotate_left(32) ^ number as u64;
             let robot =
                 robots.get(number).ok_or(HostError::Driven("the world has other robots with charts"))?;
-            let equipment = equipment_of(robot, spec, memory.memory(), seed);
+            let mut equipment = equipment_of(robot, spec, memory.memory(), seed);
+            equipment.workers = workers;
             let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             let config = &RunConfig {
                 chart: folder.join(spec.runs.as_deref().unwrap_or_default()),

@@ -16,7 +16,7 @@ use armarium_states::observers;
 use armarium_values::report::Figure;
 use armarium_viewer::progress::ProgressLine;
 use armarium_viewer::recorder::Recorder;
-use armarium_visionx::ImageSource;
+use armarium_visionx::{ImageSource, Workers};
 use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
@@ -95,18 +95,22 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
     let waits = outside.as_ref().is_some_and(Outside::waits);
     let alone = network.connection.is_none() || (waits && name.is_none() && config.cameras.is_none());
     let mut builder = tokio::runtime::Builder::new_current_thread();
-    builder.enable_all().start_paused(!config.real_time && alone);
-    builder.build()?.block_on(perform(config, &world, (&network, outside), console, began))
+    let virtual_time = !config.real_time && alone;
+    let workers = if virtual_time { Workers::Joined } else { Workers::Threads };
+    builder.enable_all().start_paused(virtual_time);
+    builder.build()?.block_on(perform(config, &world, (&network, outside), workers, console, began))
 }
 
 async fn perform(
     config: &RunConfig,
     world: &WorldFile,
     (network, outside): (&Network, Option<Outside>),
+    workers: Workers,
     console: &Arc<dyn Console>,
     began: Instant,
 ) -> Result<RunEnded, HostError> {
-    let (stage, mover) = Stage::set(config, &world.world, network, outside, &**console).await?;
+    let (mut stage, mover) = Stage::set(config, &world.world, network, outside, &**console).await?;
+    stage.robot.equipment.workers = workers;
     let equipment = &stage.robot.equipment;
     let (program, registry) = load(config, equipment, &world.world, network, &**console).await?;
     network.explain_events(&program, &**console);
@@ -128,7 +132,8 @@ async fn perform(
     let among = InProcess::of(&world.world, network);
     let file = (&world.world, world.file.as_deref());
     let robots =
-        OtherRobots::prepare(config, file, &mover.robots(), (network, &among), &logger, console).await?;
+        OtherRobots::prepare(config, file, (&mover.robots(), workers), (network, &among), &logger, console)
+            .await?;
     let peers = (among.peers(&world.world.robot.name), robots.is_empty() && !network.listens());
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
     stage.open_recording(config, &chart, &world.world)?;

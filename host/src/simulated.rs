@@ -14,7 +14,7 @@ use armarium_simulator::{Handle, Options, Referee, RobotInWorld, Simulation, Tru
 use armarium_states::{CorrectedImages, Equipment, RunningMotions};
 use armarium_values::Frame;
 use armarium_values::transforms::Transforms;
-use armarium_visionx::{ImageSource, JoinedImages};
+use armarium_visionx::{ImageSource, JoinedImages, Workers};
 use parking_lot::RwLock;
 
 use crate::error::HostError;
@@ -79,6 +79,7 @@ pub(crate) fn equipment_of(
     let transforms = Arc::new(RwLock::new(transforms));
     let mut equipment = Equipment {
         images: Arc::clone(images),
+        workers: Workers::Joined,
         robot: Arc::clone(robot),
         transforms,
         memory: Arc::<WorkingMemory>::clone(memory),

@@ -268,7 +268,12 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
                 Type::list(Type::Vector),
                 "stretched fingers in order around the palm, m, in their frame",
             )
-            .optional("hidden", Type::FLOAT, "share of the outline that something hides, 0 to 1"),
+            .optional("hidden", Type::FLOAT, "share of the outline that something hides, 0 to 1")
+            .optional(
+                "shown",
+                Type::map(Type::Any),
+                "gesture that was clearly visible, for how long (s), position and direction then, and where the hand was seen last",
+            ),
         SegmentSchema::new("HumanPoses", "Bodies of people.").optional(
             "keypoints",
             Type::map(Type::Vector),

@@ -9,7 +9,7 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};
-use armarium_visionx::ImageSource;
+use armarium_visionx::{ImageSource, Sight, StereoStep, Workers};
 use futures::future::BoxFuture;
 use nalgebra::Isometry3;
 use parking_lot::RwLock;
@@ -29,6 +29,8 @@ pub struct Equipment {
     pub robot: Arc<dyn Robot>,
     /// The stereo cameras on its head.
     pub images: Arc<dyn ImageSource>,
+    /// Where what looks at their images works.
+    pub workers: Workers,
     /// The agent's memory.
     pub memory: Arc<dyn Memory>,
     /// The agent's name, which is the provider of the entities that its skills write to memory.
@@ -63,6 +65,11 @@ impl Equipment {
     /// Its memory, with the frames in which poses there may be.
     pub(crate) fn remembered(&self) -> Remembered<'_> {
         Remembered { memory: &*self.memory, transforms: &self.transforms }
+    }
+
+    /// Starts to look with a processor of images; it works until it is dropped.
+    pub(crate) fn look(&self, step: impl StereoStep + 'static) -> Sight {
+        Sight::start(&self.images, step, self.workers)
     }
 
     /// A random generator that gives the same numbers in every run with the same seed.

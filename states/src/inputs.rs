@@ -2,7 +2,7 @@
 
 use armarium_memoryx::EntityId;
 use armarium_runtime::skill::{Failure, SkillContext};
-use armarium_values::{Pose, Reference, Value};
+use armarium_values::{Frame, Observation, Pose, Reference, Value};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Typed inputs of the robot and the memory, in addition to those of [`SkillContext`].
@@ -37,6 +37,17 @@ pub(crate) fn as_pose(value: &Value) -> Option<Isometry3<f64>> {
 /// A pose in the root frame as a value.
 pub(crate) fn pose_value(root_from: &Isometry3<f64>) -> Value {
     Value::Pose(Pose::new("root".into(), root_from))
+}
+
+/// Where something was observed, root frame, m.
+pub(crate) fn seen_at(seen: &Observation) -> Option<Point3<f64>> {
+    let place = seen.place.as_ref().filter(|place| place.position.frame == Frame::root())?;
+    Some(Point3::from(place.position.vector()))
+}
+
+/// The pose in which something was observed, root frame.
+pub(crate) fn seen_pose(seen: &Observation) -> Option<Isometry3<f64>> {
+    seen.attributes.get("pose").and_then(as_pose)
 }
 
 /// Three numbers as a vector.

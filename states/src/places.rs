@@ -6,11 +6,11 @@ use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;
-use armarium_values::{Frame, Pose, Value};
+use armarium_values::{Frame, Observation, Search, Value};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use parking_lot::RwLock;
 
-use crate::inputs::{as_pose, pose_value};
+use crate::inputs::as_pose;
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 
@@ -41,13 +41,18 @@ impl Remembered<'_> {
         })
     }
 
-    /// A pose in the root frame as memory is to hold it: in `world` where it is known where the robot stands there.
-    pub(crate) fn placed(&self, root_from_thing: &Isometry3<f64>) -> Value {
-        let world = Frame(WORLD.to_owned());
-        match self.transforms.read().transform(&world, &Frame::root(), NOW) {
-            Ok(world_from_root) => Value::Pose(Pose::new(world, &(world_from_root * root_from_thing))),
-            Err(_) => pose_value(root_from_thing),
-        }
+    /// What was observed and looked for in the root frame as memory is to hold it: in `world` where it is known where the robot stands there.
+    pub(crate) fn placed(
+        &self,
+        seen: Vec<Observation>,
+        search: Option<Search>,
+    ) -> (Vec<Observation>, Option<Search>) {
+        let (root, world) = (Frame::root(), Frame(WORLD.to_owned()));
+        let Ok(world_from_root) = self.transforms.read().transform(&world, &root, NOW) else {
+            return (seen, search);
+        };
+        let moved = |seen: Observation| seen.moved(&root, &world, &world_from_root);
+        (seen.into_iter().map(moved).collect(), search.map(|search| search.moved(&world, &world_from_root)))
     }
 }
 

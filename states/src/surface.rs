@@ -1,18 +1,12 @@
-//! The surface on which something stands, as far as it is known: seen in depth, or in memory; level where nobody knows.
+//! The surface on which something stands, as far as memory knows it; level where nobody knows.
 //!
 //! It is what skills ask instead of taking z for up. Its outward normal is the way from which a hand grasps and along which a
 //! tool presses.
 
-use std::collections::BTreeMap;
-
-use armarium_memoryx::{Commit, EntityId};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
-use armarium_values::Value;
-use armarium_visionx::{PinholeCamera, StereoFrame, TabletopSegmentation};
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
-use crate::motions::failed;
 use crate::places::{Remembered, places};
 
 /// What stands on a surface has its underside within this of it, m.
@@ -89,29 +83,6 @@ impl Surface {
         let off = Vector3::new(x - self.at.x, y - self.at.y, 0.0);
         Point3::new(x, y, self.at.z - self.normal.dot(&off) / self.normal.z.max(STEEPEST.cos()))
     }
-
-    /// Puts the table on which an object of this `height` (m) with its middle at `middle` stands into memory, as it is seen in a
-    /// frame with depth. Returns its surface; `None` where there is none to be seen.
-    pub(crate) async fn see(
-        (remembered, agent): (Remembered<'_>, &str),
-        camera: PinholeCamera,
-        frame: &StereoFrame,
-        (middle, height): (&Point3<f64>, f64),
-    ) -> Result<Option<Self>, Failure> {
-        let Some(seen) = TabletopSegmentation::new(camera).segment(frame) else { return Ok(None) };
-        let (root_from_table, [x, y]) = (seen.table.root_from_table, seen.table.size);
-        let surface = Self::of(root_from_table);
-        if (surface.above(middle) - height / 2.0).abs() > STANDS {
-            return Ok(None);
-        }
-        let id = EntityId::new("EnvironmentModels", agent, "table").map_err(failed)?;
-        let attributes = BTreeMap::from([
-            ("pose".to_owned(), remembered.placed(&root_from_table)),
-            ("size".to_owned(), Value::from([x, y, 0.0])),
-        ]);
-        remembered.memory.commit(vec![Commit::new(id, frame.stamp_ns, attributes)]).await.map_err(failed)?;
-        Ok(Some(surface))
-    }
 }
 
 /// The rotation that turns a level surface's normal to this one, the shortest way.
@@ -137,9 +108,11 @@ fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Instance, Memory as _, Snapshot, WorkingMemory, tokio_clock};
+    use std::collections::BTreeMap;
+
+    use armarium_memoryx::{Commit, EntityId, Instance, Memory as _, Snapshot, WorkingMemory, tokio_clock};
     use armarium_values::transforms::Transforms;
-    use armarium_values::{Frame, Pose};
+    use armarium_values::{Frame, Observation, Pose, Value};
     use parking_lot::RwLock;
 
     use super::*;
@@ -182,10 +155,13 @@ mod tests {
         let stands = Pose::new(Frame("world".into()), &Isometry3::translation(0.1, 0.0, 0.0));
         let (there, here) = (Pose::new(Frame("world".into()), &pose), Pose::new(Frame::root(), &pose));
         assert_eq!(top_in(&remembered, &there), None);
-        assert_eq!(remembered.placed(&pose), pose_value(&pose));
+        let seen = |pose| Observation::new("EnvironmentModels", "table", 0).with("pose", pose_value(pose));
+        assert_eq!(remembered.placed(vec![seen(&pose)], None).0, [seen(&pose)]);
         transforms.write().fix(&Frame::root(), &stands).unwrap();
-        let placed = remembered.placed(&Isometry3::identity());
-        assert!(matches!(placed, Value::Pose(pose) if pose.frame.0 == "world" && pose.position[0] == 0.1));
+        let (placed, _) = remembered.placed(vec![seen(&Isometry3::identity())], None);
+        assert!(
+            matches!(&placed[0].attributes["pose"], Value::Pose(pose) if pose.frame.0 == "world" && pose.position[0] == 0.1)
+        );
         assert!((top_in(&remembered, &there).unwrap().x - 0.1).abs() < 1e-9);
         assert!((top_in(&remembered, &here).unwrap().x - 0.2).abs() < 1e-9);
         let beside = Surface::under(remembered, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();

@@ -8,6 +8,7 @@ mod frame_change;
 mod geometry;
 mod observation;
 pub mod report;
+mod search;
 pub mod transforms;
 mod types;
 mod unit;
@@ -15,7 +16,8 @@ mod value;
 
 pub use frame_change::FrameChange;
 pub use geometry::{Frame, Pose, Vector, Wrench};
-pub use observation::{Observation, ObservedPlace};
+pub use observation::{NotAnObservation, Observation, ObservedPlace};
+pub use search::Search;
 pub use types::{ConvertError, Fit, Type};
 pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity, split_quantity};
 pub use value::{Reference, Value};

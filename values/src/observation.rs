@@ -27,6 +27,11 @@ pub struct Observation {
     pub attributes: BTreeMap<String, Value>,
 }
 
+/// Why something is no observation.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("an observation needs {0}")]
+pub struct NotAnObservation(String);
+
 /// A position with its uncertainty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObservedPlace {
@@ -83,6 +88,46 @@ impl Observation {
         said
     }
 
+    /// What other programs say: `segment`, `class`, `stamp_ns`, `confidence` (1 unless it is said), of a place `position` (m) with its
+    /// `frame` and `covariance` (nine numbers, m²), and all else as attributes.
+    ///
+    /// # Errors
+    /// What is missing or not of its kind, for people.
+    pub fn from_json(json: &Json) -> Result<Self, NotAnObservation> {
+        let Json::Object(fields) = json else {
+            return Err(NotAnObservation("a map of names and values".into()));
+        };
+        let wanted = |name: &str, what: &str| NotAnObservation(format!("`{name}`: {what}"));
+        let text = |name: &str| {
+            let said = fields.get(name).and_then(Json::as_str).filter(|said| !said.is_empty());
+            said.ok_or_else(|| wanted(name, "a word"))
+        };
+        let numbers = |name: &str, count: usize| {
+            let said = fields.get(name).and_then(Json::as_array).filter(|said| said.len() == count);
+            let said: Option<Vec<f64>> = said.and_then(|said| said.iter().map(Json::as_f64).collect());
+            said.ok_or_else(|| wanted(name, &format!("{count} numbers")))
+        };
+        let stamp_ns = fields.get("stamp_ns").and_then(Json::as_u64);
+        let stamp_ns = stamp_ns.ok_or_else(|| wanted("stamp_ns", "a time, ns"))?;
+        let mut seen = Self::new(text("segment")?, text("class")?, stamp_ns);
+        if let Some(confidence) = fields.get("confidence") {
+            seen = seen.with_confidence(
+                confidence.as_f64().ok_or_else(|| wanted("confidence", "a number, 0 to 1"))?,
+            );
+        }
+        if fields.contains_key("position") {
+            let frame = Frame(text("frame")?.to_owned());
+            let covariance = Matrix3::from_row_slice(&numbers("covariance", 9)?);
+            let position = numbers("position", 3)?;
+            seen = seen.at(ObservedPlace::new(&frame, &Vector3::from_column_slice(&position), &covariance));
+        }
+        let own = ["segment", "class", "stamp_ns", "confidence", "position", "frame", "covariance"];
+        for (name, value) in fields.iter().filter(|(name, _)| !own.contains(&name.as_str())) {
+            seen = seen.with(name, Value::from_json(value));
+        }
+        Ok(seen)
+    }
+
     /// The same with all that is expressed in `from` expressed in `to`; `to_from_from` is the pose of `from` in `to`.
     #[must_use]
     pub fn moved(mut self, from: &Frame, to: &Frame, to_from_from: &Isometry3<f64>) -> Self {
@@ -106,6 +151,33 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     use super::*;
+
+    #[test]
+    fn other_programs_say_observations_as_json() {
+        let said = serde_json::json!({
+            "segment": "ObjectInstances", "class": "cup", "stamp_ns": 7, "confidence": 0.5, "full": true,
+            "position": [1, 2, 3], "frame": "root", "covariance": [4, 0, 0, 0, 1, 0, 0, 0, 9],
+        });
+        let seen = Observation::from_json(&said).unwrap();
+        let spread = Matrix3::from_diagonal(&Vector3::new(4.0, 1.0, 9.0));
+        let place = ObservedPlace::new(&Frame::root(), &Vector3::new(1.0, 2.0, 3.0), &spread);
+        let same =
+            Observation::new("ObjectInstances", "cup", 7).with_confidence(0.5).at(place).with("full", true);
+        assert_eq!(seen, same);
+        let without = |name: &str, value: Json| {
+            let mut said = said.clone();
+            said[name] = value;
+            Observation::from_json(&said).unwrap_err().to_string()
+        };
+        assert_eq!(without("class", Json::Null), "an observation needs `class`: a word");
+        assert_eq!(without("stamp_ns", (-1).into()), "an observation needs `stamp_ns`: a time, ns");
+        assert_eq!(without("position", "here".into()), "an observation needs `position`: 3 numbers");
+        assert_eq!(without("covariance", Json::Null), "an observation needs `covariance`: 9 numbers");
+        assert_eq!(
+            Observation::from_json(&Json::Null).unwrap_err().to_string(),
+            "an observation needs a map of names and values"
+        );
+    }
 
     #[test]
     fn a_moved_observation_says_the_same_in_the_other_frame() {

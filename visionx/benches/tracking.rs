@@ -14,8 +14,9 @@ use std::time::Instant;
 use armarium_visionx::files::read_image;
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking, HandInPicture};
 use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, HandObserver, ImageError, MarkerSettings,
-    ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
+    BoxModel, ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, ImageError,
+    MarkerSettings, MarkerStep, ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
+    StereoStep, TabletopSegmentation, TabletopStep,
 };
 use nalgebra::{Isometry3, Point2, Vector2, Vector3};
 
@@ -113,5 +114,20 @@ fn main() -> Result<(), Box<dyn Error>> {
         BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
     let localizer = ObjectLocalizer::new(CALIBRATION, model);
     measure("object localisation", STEREO, |_| localizer.localize(&frame).is_some());
+    // The plane is a level table under cameras that look down on it.
+    frame.root_from_left.translation.z = 1.0 + DEPTH;
+    let (width, height) = (CALIBRATION.camera.width, CALIBRATION.camera.height);
+    let data = vec![DEPTH as f32; width as usize * height as usize];
+    frame.depth = Some(DepthImage { width, height, data });
+    let marker = ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new([40, 170, 60]), 1);
+    let mut together: Vec<Box<dyn StereoStep>> = vec![
+        Box::new(HandStep::new(HandObserver::new(CALIBRATION))),
+        Box::new(MarkerStep::new(marker, "marker")),
+        Box::new(TabletopStep::new(TabletopSegmentation::new(CALIBRATION.camera))),
+    ];
+    measure("hand, marker, table together", STEREO, |i| {
+        frame.stamp_ns = u64::from(i) * 66_000_000;
+        together.step(&frame).len() >= 3
+    });
     Ok(())
 }

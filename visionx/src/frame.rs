@@ -26,6 +26,14 @@ pub struct DepthImage {
 const FILLED: usize = 3;
 
 impl DepthImage {
+    /// The depth measured at a pixel, m; 0 where there is none.
+    #[must_use]
+    pub fn at(&self, x: u32, y: u32) -> f32 {
+        let inside = x < self.width && y < self.height;
+        let at = y as usize * self.width as usize + x as usize;
+        self.data.get(at).copied().filter(|_| inside).unwrap_or(0.0)
+    }
+
     /// Fills narrow holes, such as depth cameras leave along edges: each pixel takes the depth of the nearest measurement in its
     /// row or column, at most three pixels away. So an edge comes to lie in the middle of its hole.
     #[must_use]

@@ -10,7 +10,7 @@
 //!   gesture and where it points.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.
-//!   [`StereoStep`]: a tracker as a processing step.
+//!   [`StereoStep`]: a tracker as a processing step. [`Sight`]: such a step at work on the pairs of this process.
 //! - [`annotate`]: draws results into images.
 //!
 //! This room knows no robot and no memory: results are plain values in the camera's frame, or in the root frame
@@ -39,6 +39,7 @@ pub mod providers;
 mod rectangle;
 #[cfg(test)]
 mod scenes;
+mod sight;
 mod steps;
 mod tabletop;
 pub mod tracking;
@@ -56,9 +57,11 @@ pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, PixelRun, Region};
 pub use processor::{
-    ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy, Trigger, run_processor,
+    ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy, Trigger, Workers,
+    run_processor,
 };
 pub use providers::rectify::Rectification;
+pub use sight::{Sight, Sighting};
 pub use steps::{
     FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep, observations_of,
 };

@@ -1,19 +1,21 @@
 //! The trackers as processors: a [`StereoStep`] works on one provider of stereo pairs, and [`OfStereo`] turns it
 //! into an [`ImageProcessor`]. What a tracker finds is said here, once, as observations for memory.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation, ObservedPlace, Pose, Value, Vector};
-use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Value, Vector};
+use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
+use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{ImageError, RgbImage, StereoFrame};
-use crate::localizer::{ObjectEstimate, ObjectLocalizer};
+use crate::localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
-use crate::processor::ImageProcessor;
+use crate::processor::{ImageProcessor, Seen};
 use crate::providers::{RawFrame, StereoPair};
 use crate::tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
-use crate::tracking::hand::{HandObservation, HandObserver};
+use crate::tracking::hand::{Gesture, GestureOverTime, HandObservation, HandObserver, ShownGesture};
 use crate::tracking::{FingerTipTracking, TrackedFingertip};
 
 /// The frame of the left camera in what a step observes.
@@ -25,12 +27,14 @@ const PALM: f64 = 1e-4;
 const TABLE: f64 = 1e-4;
 /// Confidence of an object on a table after one observation.
 const THING: f64 = 0.8;
+/// Class of the objects on a table of which nothing else is known.
+const THING_CLASS: &str = "thing";
 /// Core segments.
 const OBJECTS: &str = "ObjectInstances";
 const HANDS: &str = "HumanHands";
 const ENVIRONMENT: &str = "EnvironmentModels";
 
-/// A processor of one provider of stereo pairs.
+/// A processor of one provider of stereo pairs. A new one is a type with this trait, in any crate: see `examples/brightest.rs`.
 pub trait StereoStep: Send {
     /// Its name.
     fn name(&self) -> &str;
@@ -39,10 +43,38 @@ pub trait StereoStep: Send {
         let _ = frame;
         None
     }
+    /// What it finds wherever it is in view: core segments and classes. That it did not find such a thing where it is known to be
+    /// speaks against it.
+    fn looks_for(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
     /// Processes a frame. Places are in the frame `camera` of the left camera, or in `root` as the frame's `root_from_left` says.
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation>;
     /// Draws what it saw in the last frame into its left image.
     fn draw(&self, image: &mut RgbImage);
+}
+
+/// Several processors of the same frames, one after the other.
+impl StereoStep for Vec<Box<dyn StereoStep>> {
+    fn name(&self) -> &str {
+        self.first().map_or("", |step| step.name())
+    }
+
+    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
+        self.iter().find_map(|step| step.missing_input(frame))
+    }
+
+    fn looks_for(&self) -> Vec<(String, String)> {
+        self.iter().flat_map(|step| step.looks_for()).collect()
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.iter_mut().flat_map(|step| step.step(frame)).collect()
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        self.iter().for_each(|step| step.draw(image));
+    }
 }
 
 /// What a step observes in a frame, with all places in `frame_of_root`, the frame of its `root_from_left`.
@@ -60,6 +92,33 @@ pub fn observations_of(
         }
     };
     step.step(frame).into_iter().map(moved).collect()
+}
+
+/// Nearer to the border of an image than this, px, a thing may be cut off.
+const BORDER: f64 = 20.0;
+/// What is measured nearer than a place by more than this, m, is before it.
+const BEFORE: f64 = 0.05;
+
+/// That a step has looked at a frame of this camera, in the root frame; `None` where it looks for nothing.
+pub(crate) fn search_of(
+    step: &dyn StereoStep,
+    frame: &Arc<StereoFrame>,
+    camera: PinholeCamera,
+) -> Option<Search> {
+    let classes = step.looks_for();
+    if classes.is_empty() {
+        return None;
+    }
+    let shown = Arc::clone(frame);
+    let open = move |point: &Point3<f64>| {
+        let in_left = shown.root_from_left.inverse() * point;
+        let Some(px) = camera.project(&in_left).filter(|_| in_left.z > 0.0) else { return false };
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        let inside = px.x > BORDER && px.y > BORDER && px.x < width - BORDER && px.y < height - BORDER;
+        let measured = shown.depth.as_ref().map(|depth| depth.at(px.x as u32, px.y as u32));
+        inside && measured.is_none_or(|depth| f64::from(depth) > in_left.z - BEFORE)
+    };
+    Some(Search::new(frame.stamp_ns, classes, &Frame::root(), open))
 }
 
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].
@@ -80,7 +139,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         self.step.name()
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Seen, ImageError> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
@@ -92,7 +151,10 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
             Some(_) => Frame::root(),
             None => Frame(frame.frame_id.clone()),
         };
-        Ok(observations_of(&mut self.step, &self.pair.frame(frame)?, &frame_of_root))
+        let pair = Arc::new(self.pair.frame(frame)?);
+        let observations = observations_of(&mut self.step, &pair, &frame_of_root);
+        let search = search_of(&self.step, &pair, self.pair.calibration().camera);
+        Ok(Seen { observations, search: search.filter(|_| frame.root_from_camera.is_some()) })
     }
 
     fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
@@ -114,16 +176,18 @@ fn root_pose(pose: &Isometry3<f64>) -> Value {
     Value::Pose(Pose::new(Frame::root(), pose))
 }
 
-/// A person's hand as `HumanHands/.../hand`, with its `gesture`; `none` without a hand.
+/// A person's hand as `HumanHands/.../hand`, with its `gesture` in this frame, `none` without a hand, and what it has `shown` clearly
+/// and for how long.
 pub struct HandStep {
     observer: HandObserver,
+    over_time: GestureOverTime,
     last: Option<HandObservation>,
 }
 
 impl HandStep {
     /// The step around an observer.
     pub fn new(observer: HandObserver) -> Self {
-        Self { observer, last: None }
+        Self { observer, over_time: GestureOverTime::default(), last: None }
     }
 }
 
@@ -134,7 +198,8 @@ impl StereoStep for HandStep {
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         self.last = self.observer.update(frame);
-        let observation = Observation::new(HANDS, "hand", frame.stamp_ns);
+        let shown = self.over_time.update(frame.stamp_ns, self.last.as_ref(), &frame.root_from_left);
+        let observation = Observation::new(HANDS, "hand", frame.stamp_ns).with("shown", said(shown));
         let Some(hand) = &self.last else { return vec![observation.with("gesture", "none")] };
         let tips = hand.fingertips.iter().filter_map(|tip| tip.in_left);
         let seen = observation
@@ -154,17 +219,41 @@ impl StereoStep for HandStep {
     }
 }
 
+/// Where something is expected at a time (ns): in the root frame, m.
+type Expected = Box<dyn Fn(u64) -> Option<Point3<f64>> + Send>;
+
+/// What a hand has shown, as an attribute.
+fn said(shown: &ShownGesture) -> Value {
+    let in_root = |v: Vector3<f64>| Value::Vector(Vector::new(Frame::root(), &v));
+    let mut fields = BTreeMap::from([
+        ("gesture".to_owned(), Value::from(shown.gesture.map_or("none", Gesture::name))),
+        ("for".to_owned(), Value::Float(shown.for_s)),
+    ]);
+    fields.extend(shown.palm.map(|palm| ("position".to_owned(), in_root(palm.coords))));
+    fields.extend(shown.direction.map(|direction| ("direction".to_owned(), in_root(direction))));
+    fields.extend(shown.seen_at.map(|palm| ("seen_at".to_owned(), in_root(palm.coords))));
+    Value::Map(fields)
+}
+
 /// A thing of one colour, as `ObjectInstances` of its class. One that is not seen is not observed.
 pub struct MarkerStep {
     tracking: ColorMarkerObjectTracking,
     class: String,
+    expected: Option<Expected>,
     last: Option<MarkerEstimate>,
 }
 
 impl MarkerStep {
     /// The step around a tracker of a thing of this class.
     pub fn new(tracking: ColorMarkerObjectTracking, class: &str) -> Self {
-        Self { tracking, class: class.into(), last: None }
+        Self { tracking, class: class.into(), expected: None, last: None }
+    }
+
+    /// The same for a thing that is expected at a place: among several of its colour, the nearest one is followed.
+    #[must_use]
+    pub fn expected_at(mut self, place: impl Fn(u64) -> Option<Point3<f64>> + Send + 'static) -> Self {
+        self.expected = Some(Box::new(place));
+        self
     }
 }
 
@@ -173,8 +262,14 @@ impl StereoStep for MarkerStep {
         "marker"
     }
 
+    fn looks_for(&self) -> Vec<(String, String)> {
+        vec![(OBJECTS.into(), self.class.clone())]
+    }
+
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
-        self.last = self.tracking.update(frame);
+        let expected = self.expected.as_ref().and_then(|place| place(frame.stamp_ns));
+        let in_left = expected.map(|place| frame.root_from_left.inverse() * place);
+        self.last = self.tracking.update_near(frame, in_left.as_ref());
         let seen = |marker: &MarkerEstimate| {
             Observation::new(OBJECTS, &self.class, frame.stamp_ns)
                 .at(in_camera(&marker.point_in_left, &marker.covariance))
@@ -189,16 +284,47 @@ impl StereoStep for MarkerStep {
 }
 
 /// A box of known colour and size, as `ObjectInstances` of its class, with its pose. One that is not seen is not observed.
+///
+/// Where the frames have depth, the table on which it stands is looked for once, as `EnvironmentModels/.../table`; the box lies
+/// along it. What else is level is not observed.
 pub struct ObjectStep {
     localizer: ObjectLocalizer,
+    /// Finds the table; `None` when it has been looked for.
+    tables: Option<TabletopSegmentation>,
+    /// The box's height, m.
+    height: f64,
     class: String,
     last: Option<ObjectEstimate>,
 }
 
+/// What stands on a surface has its underside within this of it, m.
+const STANDS: f64 = 0.04;
+
 impl ObjectStep {
-    /// The step around a localizer of boxes of this class.
+    /// The step around a localizer of boxes of this class, on a surface whose tilt the localizer knows.
     pub fn new(localizer: ObjectLocalizer, class: &str) -> Self {
-        Self { localizer, class: class.into(), last: None }
+        Self { localizer, tables: None, height: 0.0, class: class.into(), last: None }
+    }
+
+    /// The step for a box on a table that is to be found with it.
+    pub fn on_a_table(calibration: StereoCalibration, model: BoxModel, class: &str) -> Self {
+        let (height, tables) = (model.size.z, Some(TabletopSegmentation::new(calibration.camera)));
+        Self { height, tables, ..Self::new(ObjectLocalizer::new(calibration, model), class) }
+    }
+
+    /// The table under the box, once a box has been found.
+    fn table(&mut self, frame: &StereoFrame) -> Option<Observation> {
+        let first = self.tables.as_ref().and_then(|_| self.localizer.localize(frame))?;
+        let Tabletop { table, .. } = self.tables.take()?.segment(frame)?;
+        let middle = Point3::from(first.root_from_object.translation.vector);
+        let above = (table.root_from_table.inverse() * middle).z;
+        if (above - self.height / 2.0).abs() > STANDS {
+            return None;
+        }
+        let normal = Unit::new_normalize(table.root_from_table * Vector3::z());
+        let tilt = UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), &normal)?;
+        self.localizer = self.localizer.clone().standing_on(tilt);
+        Some(table_seen(&table, frame.stamp_ns))
     }
 }
 
@@ -207,7 +333,12 @@ impl StereoStep for ObjectStep {
         "object"
     }
 
+    fn looks_for(&self) -> Vec<(String, String)> {
+        vec![(OBJECTS.into(), self.class.clone())]
+    }
+
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        let table = self.table(frame);
         self.last = self.localizer.localize(frame);
         let seen = |object: &ObjectEstimate| {
             let pose = &object.root_from_object;
@@ -217,7 +348,7 @@ impl StereoStep for ObjectStep {
                 .with_confidence(object.visible)
                 .with("pose", root_pose(pose))
         };
-        self.last.iter().map(seen).collect()
+        table.into_iter().chain(self.last.as_ref().map(seen)).collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {
@@ -247,6 +378,10 @@ impl StereoStep for TabletopStep {
         self.segmentation.missing_input(frame)
     }
 
+    fn looks_for(&self) -> Vec<(String, String)> {
+        vec![(OBJECTS.into(), THING_CLASS.into())]
+    }
+
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         self.last = self.segmentation.segment(frame);
         let Some(Tabletop { table, objects }) = &self.last else { return Vec::new() };
@@ -271,7 +406,7 @@ fn table_seen(table: &TableEstimate, stamp_ns: u64) -> Observation {
 fn thing(object: &TableObject, stamp_ns: u64) -> Observation {
     let pose = &object.root_from_object;
     let color: Vec<f64> = object.color.iter().map(|c| f64::from(*c)).collect();
-    Observation::new(OBJECTS, "thing", stamp_ns)
+    Observation::new(OBJECTS, THING_CLASS, stamp_ns)
         .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &object.covariance))
         .with_confidence(THING)
         .with("pose", root_pose(pose))
@@ -353,7 +488,7 @@ mod tests {
             let place = |o: Observation| {
                 o.place.map(|place| (place.position.frame.0.clone(), place.position.vector()))
             };
-            seen.into_iter().filter_map(place).collect()
+            seen.observations.into_iter().filter_map(place).collect()
         };
         let known = frame_of(&stereo, 1, "left").unwrap();
         let root_from_camera = known.root_from_camera.unwrap();

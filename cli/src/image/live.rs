@@ -13,8 +13,8 @@ use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offe
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, FingertipStep, HandObserver, HandStep, ImageError, ImageProcessor,
-    MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, SeenBy,
-    TabletopSegmentation, TabletopStep, Trigger, run_processor,
+    MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy,
+    TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
 };
 use async_trait::async_trait;
 use serde_json::{Value as Json, json};
@@ -63,7 +63,7 @@ impl Look {
 }
 
 /// What was observed in a frame, and by whom.
-type Queued = (SeenBy, Vec<Observation>);
+type Queued = (SeenBy, Seen);
 
 /// Passes observations on; the processor never waits for the printer or the memory.
 struct HandOn {
@@ -75,7 +75,7 @@ struct HandOn {
 
 #[async_trait]
 impl ResultSink for HandOn {
-    async fn take(&self, by: &SeenBy, seen: Vec<Observation>) -> bool {
+    async fn take(&self, by: &SeenBy, seen: Seen) -> bool {
         self.taken.store(true, Ordering::Relaxed);
         let to = self.to.lock().clone();
         let Some(to) = to else { return false };
@@ -107,7 +107,7 @@ pub(super) async fn run(
         }
         Some(_) => return Err(argument("--rate is greater than 0")),
     };
-    let mut processor = args.look.processor(pair, args.color);
+    let processor = args.look.processor(pair, args.color);
     let remembers = match &args.memory {
         Some(agent) => {
             let memory = Arc::new(RemoteMemory::connect(connection.session(), agent).await.map_err(failed)?);
@@ -135,12 +135,13 @@ pub(super) async fn run(
     let with = ProcessorLoop {
         inputs: vec![Arc::clone(&source.provider)],
         trigger,
+        workers: Workers::Threads,
         sink: &sink,
         annotated: args.offer.is_some().then_some(&drawn),
         statistics: &statistics,
     };
     let processing = async {
-        let ended = run_processor(&mut *processor, &with).await;
+        let ended = run_processor(processor, &with).await;
         // No more observations come: close the queue, so that the receiver ends after the last one.
         sink.to.lock().take();
         match ended {
@@ -181,9 +182,9 @@ async fn tell(
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     while let Some((by, seen)) = told.recv().await {
-        writeln!(out, "{}", line(&by, &seen))?;
+        writeln!(out, "{}", line(&by, &seen.observations))?;
         if let Some(updater) = &remembers {
-            updater.update(&seen).await.map_err(failed)?;
+            updater.update_from(&seen.observations, seen.search.as_ref()).await.map_err(failed)?;
         }
     }
     Ok(())

@@ -13,6 +13,7 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::{logging, warnings};
 
 pub(crate) mod keep;
+mod observe;
 mod reach;
 mod serve;
 mod show;
@@ -67,6 +68,8 @@ enum MemoryCommand {
     Get(GetArgs),
     /// Write an entity, or remove it.
     Put(PutArgs),
+    /// Join what another program observes with what is known: a line of JSON on standard input for each observation.
+    Observe(observe::ObserveArgs),
     /// Show changes as they come.
     Watch(WatchArgs),
     /// Query by pattern, time, place and expression.

@@ -40,6 +40,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
             let version = self::put(&reached, put, args).await?;
             shown.counts(&[("version".to_owned(), version)].into(), out)?;
         }
+        MemoryCommand::Observe(observe) => return super::observe::observe(reached, observe, out).await,
         MemoryCommand::Watch(watch) => self::watch(&reached, watch, &mut shown, out).await?,
         MemoryCommand::Query(query) => {
             let count = reached.each(self::query(query)?, |s| shown.row(s, out)).await?;

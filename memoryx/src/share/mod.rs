@@ -197,7 +197,7 @@ impl FollowTask {
         if let Some(updater) = &self.updater {
             let seen: Vec<Observation> = news.iter().filter_map(|(s, _)| self.observation(s)).collect();
             for observation in seen {
-                log_refusal(updater.update(&[observation]).await, &self.settings.agent);
+                log_refusal(updater.adopt(&[observation]).await, &self.settings.agent);
             }
         }
         self.taken.fetch_add(count, Ordering::Relaxed);

@@ -9,13 +9,15 @@
 //! An observation is addressed to a core segment. One without a place says only what else is observed. People's hands and bodies
 //! move by themselves, and each picture shows another part of a table: of these segments the last observation counts alone. It
 //! is of the nearest known entity of its class, however far that is, and one without a place (no hand is there) is of all.
+//! Where a [`Search`] says what was looked for and where it would have been seen, what is known to be there and was not found has moved
+//! to where one was found that nobody knew; or it loses confidence, and is removed in the end. What is carried is not doubted: a hand hides it.
 //! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation, ObservedPlace, Value, Vector};
-use nalgebra::Matrix3;
+use armarium_values::{Frame, Observation, ObservedPlace, Search, Value, Vector};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
@@ -28,8 +30,8 @@ mod kalman;
 mod motion;
 
 pub use assignment::assign;
-pub use kalman::{Gaussian, fuse_confidence};
-pub use motion::{Carriers, MotionModel, NoCarriers, predict};
+pub use kalman::{Gaussian, fuse_absence, fuse_confidence};
+pub use motion::{Carriers, MotionModel, NoCarriers, carried, predict};
 
 /// The core segment of observed objects.
 pub const OBJECT_INSTANCES: &str = "ObjectInstances";
@@ -46,16 +48,31 @@ pub struct Settings {
     pub drift: f64,
     /// The same for a carried object, because grasps slip.
     pub carried_drift: f64,
+    /// Probability of finding what is looked for, in view and not hidden.
+    pub detection: f64,
+    /// What has less confidence after looks that did not find it is removed.
+    pub gone: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5 }
+        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5, detection: 0.7, gone: 0.05 }
     }
 }
 
 /// Core segments of which the last observation counts alone.
 const LAST_COUNTS: [&str; 3] = ["HumanHands", "HumanPoses", "EnvironmentModels"];
+
+/// What an observation says that is not known yet.
+#[derive(Clone, Copy)]
+enum Evidence {
+    /// It was made now, apart from all others.
+    New,
+    /// It may hold what is known here already.
+    FusedElsewhere,
+    /// The thing is no longer where it was known to be.
+    Moved,
+}
 
 /// The entity of an observation.
 struct Match<'h> {
@@ -65,6 +82,8 @@ struct Match<'h> {
     entity: Option<&'h Arc<Snapshot>>,
     /// The predicted position of that entity, with its frame.
     predicted: Option<(Frame, Gaussian)>,
+    /// It is not where it should have been seen, but here.
+    moved: bool,
 }
 
 /// Writes observations into the provider segments of one process.
@@ -105,13 +124,46 @@ impl Updater {
     /// # Errors
     /// [`MemoryError::Schema`] when an observation's covariance is invalid; as [`Memory::commit`].
     pub async fn update(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
-        if observations.is_empty() {
-            return Ok(Vec::new());
-        }
+        self.write(observations, None, Evidence::New).await
+    }
+
+    /// As [`Self::update`], of what was already fused elsewhere, such as the entities of another agent's memory: places are joined by
+    /// covariance intersection, and neither place nor confidence become surer for being told again.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub async fn adopt(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
+        self.write(observations, None, Evidence::FusedElsewhere).await
+    }
+
+    /// As [`Self::update`], of all observations of a search. What it did not find loses confidence, in the same commit.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub async fn update_from(
+        &self,
+        observations: &[Observation],
+        search: Option<&Search>,
+    ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
+        self.write(observations, search, Evidence::New).await
+    }
+
+    async fn write(
+        &self,
+        observations: &[Observation],
+        search: Option<&Search>,
+        evidence: Evidence,
+    ) -> Result<Vec<(EntityId, u64)>, MemoryError> {
         let mut tries = 0;
         loop {
-            let updates = self.updates(observations).await?;
+            let mut updates = self.updates(observations, search, evidence).await?;
             let ids: Vec<EntityId> = updates.iter().map(|update| update.id.clone()).collect();
+            if let Some(search) = search {
+                updates.extend(self.missed(search, &ids).await?);
+            }
+            if updates.is_empty() {
+                return Ok(Vec::new());
+            }
             tries += 1;
             match self.memory.commit(updates).await {
                 Ok(versions) => return Ok(ids.into_iter().zip(versions).collect()),
@@ -121,7 +173,12 @@ impl Updater {
         }
     }
 
-    async fn updates(&self, observations: &[Observation]) -> Result<Vec<Commit>, MemoryError> {
+    async fn updates(
+        &self,
+        observations: &[Observation],
+        search: Option<&Search>,
+        evidence: Evidence,
+    ) -> Result<Vec<Commit>, MemoryError> {
         let classes = self.memory.segment(OBJECT_CLASSES).await?;
         let mut updates = Vec::new();
         for segment in distinct(observations.iter().map(|o| o.segment.as_str())) {
@@ -134,10 +191,15 @@ impl Updater {
                 let is_of_class =
                     |s: &&Arc<Snapshot>| s.attribute("class").and_then(Value::as_str) == Some(class);
                 let known: Vec<&Arc<Snapshot>> = held.iter().filter(is_of_class).collect();
-                for matched in self.match_class(observations, &seen, &known, &held)? {
+                let mut matches = self.match_class(observations, &seen, &known, &held)?;
+                if let Some(search) = search {
+                    self.find_moved(search, observations, (&known, &held), &mut matches)?;
+                }
+                for matched in matches {
+                    let evidence = if matched.moved { Evidence::Moved } else { evidence };
                     let observation = &observations[matched.observation];
                     let update = match matched.entity {
-                        Some(entity) => self.fused(observation, entity, matched.predicted)?,
+                        Some(entity) => self.fused(observation, entity, (matched.predicted, evidence))?,
                         None => {
                             let name = free_name(class, &names);
                             names.push(name.clone());
@@ -150,6 +212,70 @@ impl Updater {
         }
         updates.sort_by_key(|(observation, _)| *observation);
         Ok(updates.into_iter().map(|(_, update)| update).collect())
+    }
+
+    /// Where an entity should have been seen by a search; `None` where it is carried, or out of view, or was not looked for.
+    fn sought_at(&self, search: &Search, entity: &Snapshot, held: &[Arc<Snapshot>]) -> Option<Vector3<f64>> {
+        let class = entity.attribute("class").and_then(Value::as_str)?;
+        let is_sought = |(segment, of): &(String, String)| segment == entity.id.segment() && of == class;
+        let stands = MotionModel::of(entity.instance()?) == MotionModel::Static;
+        if !stands || !search.classes.iter().any(is_sought) {
+            return None;
+        }
+        let (frame, place) = predict(entity, search.stamp_ns, held, &*self.carriers, &self.settings)?;
+        let place = place.mean();
+        (frame == search.frame && search.shows(&Point3::from(place))).then_some(place)
+    }
+
+    /// A thing that is not where it should have been seen, while another place has one that nobody knew, has moved there.
+    fn find_moved<'h>(
+        &self,
+        search: &Search,
+        observations: &[Observation],
+        (known, held): (&[&'h Arc<Snapshot>], &[Arc<Snapshot>]),
+        matches: &mut [Match<'h>],
+    ) -> Result<(), MemoryError> {
+        let found =
+            |entity: &Arc<Snapshot>| matches.iter().any(|m| m.entity.is_some_and(|e| e.id == entity.id));
+        let missed = known.iter().filter(|entity| !found(entity));
+        let mut missed: Vec<(&'h Arc<Snapshot>, Vector3<f64>)> =
+            missed.filter_map(|entity| Some((*entity, self.sought_at(search, entity, held)?))).collect();
+        for matched in matches.iter_mut().filter(|matched| matched.entity.is_none()) {
+            let Some((frame, place)) = self.measured(&observations[matched.observation])? else { continue };
+            if frame != search.frame {
+                continue;
+            }
+            let away = |(_, was): &(&Arc<Snapshot>, Vector3<f64>)| (was - place.mean()).norm();
+            let nearest = (0..missed.len()).min_by(|&a, &b| away(&missed[a]).total_cmp(&away(&missed[b])));
+            if let Some(nearest) = nearest {
+                (matched.entity, matched.moved) = (Some(missed.remove(nearest).0), true);
+            }
+        }
+        Ok(())
+    }
+
+    /// What a search should have found and did not.
+    async fn missed(&self, search: &Search, found: &[EntityId]) -> Result<Vec<Commit>, MemoryError> {
+        let mut updates = Vec::new();
+        for segment in distinct(search.classes.iter().map(|(segment, _)| segment.as_str())) {
+            let pattern = Pattern::segment(segment).of_provider(&self.provider);
+            let held = self.memory.query(&Query::latest(pattern)).await?;
+            for entity in held.iter().filter(|entity| !found.contains(&entity.id)) {
+                let Some(instance) =
+                    entity.instance().filter(|_| self.sought_at(search, entity, &held).is_some())
+                else {
+                    continue;
+                };
+                let confidence = fuse_absence(instance.confidence, self.settings.detection);
+                let left = Instance { confidence, ..instance.clone() };
+                let instances = if confidence < self.settings.gone { Vec::new() } else { vec![left] };
+                // The time of what it says stays that at which it was seen last.
+                let (id, referenced_ns) = (entity.id.clone(), entity.referenced_ns);
+                let update = Commit { id, referenced_ns, instances, expected_version: None };
+                updates.push(update.expecting(entity.version));
+            }
+        }
+        Ok(updates)
     }
 
     /// Matches the observations of one class to entities, with the entities' predicted positions.
@@ -166,8 +292,12 @@ impl Updater {
             && observation.place.is_none()
             && !known.is_empty()
         {
-            let all =
-                known.iter().map(|entity| Match { observation: *at, entity: Some(entity), predicted: None });
+            let all = known.iter().map(|entity| Match {
+                observation: *at,
+                entity: Some(entity),
+                predicted: None,
+                moved: false,
+            });
             return Ok(all.collect());
         }
         let mut predicted = Vec::new();
@@ -207,8 +337,9 @@ impl Updater {
                     observation: *at,
                     entity: Some(known[column]),
                     predicted: predicted[row * known.len() + column].clone(),
+                    moved: false,
                 },
-                None => Match { observation: *at, entity: None, predicted: None },
+                None => Match { observation: *at, entity: None, predicted: None, moved: false },
             })
             .collect())
     }
@@ -217,7 +348,7 @@ impl Updater {
         &self,
         observation: &Observation,
         entity: &Snapshot,
-        prior: Option<(Frame, Gaussian)>,
+        (prior, evidence): (Option<(Frame, Gaussian)>, Evidence),
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
@@ -232,8 +363,22 @@ impl Updater {
                 // What was observed without a place stays where it was, and is no surer for that.
                 let place = match measured {
                     Some((frame, seen)) => {
-                        confidence = fuse_confidence(confidence, observation.confidence);
-                        Some((frame, prior.and_then(|(_, prior)| prior.fuse(&seen)).unwrap_or(seen)))
+                        let prior = prior.map(|(_, prior)| prior);
+                        let joined = match evidence {
+                            Evidence::New => {
+                                confidence = fuse_confidence(confidence, observation.confidence);
+                                prior.and_then(|prior| prior.fuse(&seen))
+                            }
+                            Evidence::FusedElsewhere => {
+                                confidence = confidence.max(observation.confidence);
+                                prior.and_then(|prior| prior.intersect(&seen))
+                            }
+                            Evidence::Moved => {
+                                confidence = observation.confidence;
+                                None
+                            }
+                        };
+                        Some((frame, joined.unwrap_or(seen)))
                     }
                     None => prior,
                 };

@@ -1,12 +1,12 @@
 //! Motion models: the expected position of an entity between two observations.
 //!
 //! Attributes of the entity: `motion_model` (`static`, `hand` or `object`), `attached_to` (the hand's name or the other
-//! entity's address) and `offset` (its centre in the carrier's frame, m).
+//! entity's address) and `offset` (its pose in the carrier's frame, m; a vector where the turn is not known).
 
 use std::sync::Arc;
 
 use armarium_values::{Frame, Pose, Value};
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 
 use super::Settings;
 use super::kalman::Gaussian;
@@ -27,15 +27,15 @@ pub enum MotionModel {
     Hand {
         /// The hand.
         name: String,
-        /// Its centre in the hand's frame, m.
-        offset: [f64; 3],
+        /// Its pose in the hand's frame, m.
+        offset: Isometry3<f64>,
     },
     /// It moves with another entity.
     Object {
         /// The entity's address.
         id: String,
-        /// Its centre in the entity's frame, m.
-        offset: [f64; 3],
+        /// Its pose in the entity's frame, m.
+        offset: Isometry3<f64>,
     },
 }
 
@@ -59,7 +59,13 @@ impl MotionModel {
     /// The model named in an instance; static when none is named, or when its attributes are incomplete.
     pub fn of(instance: &Instance) -> Self {
         let text = |name: &str| instance.attributes.get(name).and_then(Value::as_str).map(str::to_owned);
-        let offset = instance.attributes.get("offset").and_then(Value::as_vector3).unwrap_or_default();
+        let offset = match instance.attributes.get("offset") {
+            Some(Value::Pose(pose)) => pose.isometry(),
+            offset => {
+                let at = offset.and_then(Value::as_vector3).unwrap_or_default();
+                Translation3::from(at).into()
+            }
+        };
         match (text("motion_model").as_deref(), text("attached_to")) {
             (Some("hand"), Some(name)) => Self::Hand { name, offset },
             (Some("object"), Some(id)) => Self::Object { id, offset },
@@ -70,10 +76,10 @@ impl MotionModel {
     /// The attributes that name the model.
     pub fn attributes(&self) -> Vec<(String, Value)> {
         let named = |kind: &str| vec![("motion_model".to_owned(), Value::from(kind))];
-        let attached = |kind: &str, to: &str, offset: &[f64; 3]| {
+        let attached = |kind: &str, to: &str, offset: &Isometry3<f64>| {
             let mut attributes = named(kind);
             attributes.push(("attached_to".into(), to.into()));
-            attributes.push(("offset".into(), (*offset).into()));
+            attributes.push(("offset".into(), Value::Pose(Pose::new(Frame(to.to_owned()), offset))));
             attributes
         };
         match self {
@@ -85,25 +91,14 @@ impl MotionModel {
 }
 
 /// The expected position of an entity at a time, with its frame, by its motion model. The variance grows with the
-/// time since the last observation. `held`: the newest snapshots of the entities that may carry it, ordered by
-/// address. `None` when it has no position. If the carrier's position is unknown, the entity stays where it was seen.
+/// time since the last observation. `held`: the newest snapshots of the entities that may carry it. `None` when it has no position.
+/// If the carrier's pose is unknown, the entity stays where it was seen.
 pub fn predict(
     snapshot: &Snapshot,
     at_ns: u64,
     held: &[Arc<Snapshot>],
     carriers: &dyn Carriers,
     settings: &Settings,
-) -> Option<(Frame, Gaussian)> {
-    predict_within(snapshot, at_ns, held, carriers, settings, MAX_CARRIERS)
-}
-
-fn predict_within(
-    snapshot: &Snapshot,
-    at_ns: u64,
-    held: &[Arc<Snapshot>],
-    carriers: &dyn Carriers,
-    settings: &Settings,
-    left: usize,
 ) -> Option<(Frame, Gaussian)> {
     let instance = snapshot.instance()?;
     let (frame, position) = place_of(snapshot)?;
@@ -116,27 +111,48 @@ fn predict_within(
             .or_else(|| Gaussian::new(mean, covariance + Matrix3::identity() * 1e-12))?;
         Some((frame.clone(), gaussian.spread(drift * seconds)))
     };
-    let carried = match MotionModel::of(instance) {
-        MotionModel::Static => None,
-        MotionModel::Hand { name, offset } => carriers.hand(&name, at_ns).map(|pose| (pose, offset)),
-        MotionModel::Object { id, offset } => {
-            let carrier = held.iter().find(|s| s.id.as_str() == id).filter(|_| left > 0);
-            let pose = carrier.and_then(|carrier| {
-                let (frame, place) = predict_within(carrier, at_ns, held, carriers, settings, left - 1)?;
-                let turned = match carrier.attribute("pose") {
-                    Some(Value::Pose(pose)) => pose.orientation,
-                    _ => [0.0, 0.0, 0.0, 1.0],
-                };
-                Some(Pose { frame, position: place.mean().into(), orientation: turned })
-            });
-            pose.map(|pose| (pose, offset))
-        }
-    };
-    match carried {
-        Some((pose, offset)) => {
-            let mean = pose.isometry() * Point3::from(offset);
-            seen(&pose.frame, mean.coords, settings.carried_drift)
-        }
+    match carried(snapshot, at_ns, held, carriers) {
+        Some(pose) => seen(&pose.frame, Vector3::from(pose.position), settings.carried_drift),
         None => seen(frame, Vector3::from(position), settings.drift),
     }
+}
+
+/// The pose at a time of an entity that a hand or another entity carries; `None` of one that is not carried, and where the carrier's
+/// pose is unknown. `held`: the newest snapshots of the entities that may carry it.
+pub fn carried(
+    snapshot: &Snapshot,
+    at_ns: u64,
+    held: &[Arc<Snapshot>],
+    carriers: &dyn Carriers,
+) -> Option<Pose> {
+    carried_within(snapshot, at_ns, held, carriers, MAX_CARRIERS)
+}
+
+fn carried_within(
+    snapshot: &Snapshot,
+    at_ns: u64,
+    held: &[Arc<Snapshot>],
+    carriers: &dyn Carriers,
+    left: usize,
+) -> Option<Pose> {
+    let (carrier, offset) = match MotionModel::of(snapshot.instance()?) {
+        MotionModel::Static => return None,
+        MotionModel::Hand { name, offset } => (carriers.hand(&name, at_ns)?, offset),
+        MotionModel::Object { id, offset } => {
+            let carrier = held.iter().find(|s| s.id.as_str() == id).filter(|_| left > 0)?;
+            let pose = carried_within(carrier, at_ns, held, carriers, left - 1).or_else(|| pose_of(carrier));
+            (pose?, offset)
+        }
+    };
+    Some(Pose::new(carrier.frame.clone(), &(carrier.isometry() * offset)))
+}
+
+/// Where an entity was seen; not turned where nothing says how.
+fn pose_of(snapshot: &Snapshot) -> Option<Pose> {
+    let (frame, position) = place_of(snapshot)?;
+    let orientation = match snapshot.attribute("pose") {
+        Some(Value::Pose(pose)) => pose.orientation,
+        _ => [0.0, 0.0, 0.0, 1.0],
+    };
+    Some(Pose { frame: frame.clone(), position, orientation })
 }

@@ -1,7 +1,7 @@
 //! The updater compared with closed forms: matching, fusion, prediction and enrichment.
 
 use armarium_values::Pose;
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -102,7 +102,7 @@ async fn what_is_carried_moves_with_its_carrier() {
     let updater = updater(&memory).with_carriers(Arc::new(Hand));
     updater.update(&[cup(0.0, 0.0, 0.0)]).await.unwrap();
     let id: EntityId = "ObjectInstances/vision/cup".parse().unwrap();
-    let held = MotionModel::Hand { name: "right".into(), offset: [0.1, 0.0, 0.0] };
+    let held = MotionModel::Hand { name: "right".into(), offset: Isometry3::translation(0.1, 0.0, 0.0) };
     let before = memory.latest_now(&id).unwrap();
     let mut attributes = before.instance().unwrap().attributes.to_map();
     attributes.extend(held.attributes());
@@ -120,7 +120,7 @@ async fn what_is_carried_moves_with_its_carrier() {
     // A cup seen where the hand has carried it is the same cup; a plate on it moves along.
     let seen = updater.update(&[cup(2.0, 2.0, 0.11)]).await.unwrap();
     assert_eq!(names(&seen), [("cup", 3)]);
-    let on = MotionModel::Object { id: id.to_string(), offset: [0.0, 0.0, 0.1] };
+    let on = MotionModel::Object { id: id.to_string(), offset: Isometry3::translation(0.0, 0.0, 0.1) };
     let mut attributes: BTreeMap<String, Value> = on.attributes().into_iter().collect();
     attributes.insert("class".into(), "plate".into());
     attributes.insert("position".into(), Vector { frame: Frame::root(), components: [9.0; 3] }.into());
@@ -187,4 +187,88 @@ async fn what_is_observed_without_a_place_is_where_it_was_and_no_surer() {
     assert_eq!(cup.attribute("position").and_then(Value::as_vector3), Some([0.1, 0.0, 1.0]));
     assert_eq!((cup.attribute("full"), cup.instance().unwrap().confidence), (Some(&Value::Bool(true)), 0.6));
     assert!(updater.update(&[]).await.unwrap().is_empty());
+}
+
+/// A look for cups that would have seen everything left of `x` < 0.5.
+fn look(seconds: f64) -> Search {
+    let classes = vec![(OBJECT_INSTANCES.to_owned(), "cup".to_owned())];
+    Search::new((seconds * 1e9) as u64, classes, &Frame::root(), |point| point.x < 0.5)
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_should_be_seen_and_is_not_is_doubted_and_forgotten() {
+    let memory = memory();
+    let updater = updater(&memory);
+    for at in [0.0, 0.1, 0.2] {
+        updater.update(&[cup(at, 0.0, 0.0), cup(at, 0.3, 0.0), cup(at, 0.8, 0.0)]).await.unwrap();
+    }
+    let confidence = |name: &str| {
+        let id = EntityId::new(OBJECT_INSTANCES, "vision", name).unwrap();
+        memory.latest_now(&id).ok().map(|cup| cup.instance().unwrap().confidence)
+    };
+    let before = confidence("cup_2").unwrap();
+    // The first one is carried by somebody: his hand hides it.
+    let held = MotionModel::Hand { name: "bob/right_hand".into(), offset: Isometry3::identity() };
+    let told = held
+        .attributes()
+        .into_iter()
+        .fold(Observation::new(OBJECT_INSTANCES, "cup", 0), |told, (name, value)| told.with(&name, value));
+    let first = memory.latest_now(&EntityId::new(OBJECT_INSTANCES, "vision", "cup").unwrap()).unwrap();
+    let mut attributes = first.instance().unwrap().attributes.to_map();
+    attributes.extend(told.attributes);
+    memory.commit_now(vec![Commit::new(first.id.clone(), first.referenced_ns, attributes)]).unwrap();
+    for frame in 0..3 {
+        updater.update_from(&[], Some(&look(0.3 + f64::from(frame) * 0.07))).await.unwrap();
+    }
+    assert!(confidence("cup_2").unwrap() < before);
+    assert_eq!(
+        memory
+            .latest_now(&EntityId::new(OBJECT_INSTANCES, "vision", "cup_2").unwrap())
+            .unwrap()
+            .referenced_ns,
+        200_000_000
+    );
+    for _ in 0..12 {
+        updater.update_from(&[], Some(&look(0.6))).await.unwrap();
+    }
+    assert_eq!(confidence("cup_2"), None, "forgotten");
+    assert_eq!(confidence("cup_3"), Some(before), "out of view");
+    assert!(confidence("cup").is_some(), "in a hand");
+    assert_eq!(confidence("cup_4"), None);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_not_where_it_was_but_elsewhere_has_moved() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let first = updater.update(&[cup(0.0, 0.0, 0.0), cup(0.0, 0.3, 0.0)]).await.unwrap();
+    assert_eq!(names(&first), [("cup", 1), ("cup_2", 1)]);
+    let both = [cup(0.1, 0.3, 0.0), cup(0.1, -0.2, 0.1)];
+    assert_eq!(
+        names(&updater.update_from(&both, Some(&look(0.1))).await.unwrap()),
+        [("cup_2", 2), ("cup", 2)]
+    );
+    let moved = memory.latest_now(&first[0].0).unwrap();
+    assert_eq!(moved.attribute("position").and_then(Value::as_vector3), Some([-0.2, 0.1, 1.0]));
+    assert_eq!(moved.instance().unwrap().confidence, 0.6);
+    // Where nobody has looked, nothing is missed: it is another one.
+    assert_eq!(names(&updater.update(&[cup(0.2, 0.0, 0.4)]).await.unwrap()), [("cup_3", 1)]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_others_have_fused_is_no_new_evidence() {
+    let memory = memory();
+    let updater = updater(&memory).with_settings(Settings { drift: 0.0, ..Settings::default() });
+    updater.update(&[cup(0.0, 0.1, 0.0)]).await.unwrap();
+    for _ in 0..10 {
+        updater.adopt(&[cup(0.0, 0.11, 0.0)]).await.unwrap();
+    }
+    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let instance = found.instance().unwrap();
+    assert!(
+        (instance.covariance["position"][0] - VARIANCE).abs() < 1e-9,
+        "no surer: {:?}",
+        instance.covariance
+    );
+    assert_eq!(instance.confidence, 0.6);
 }

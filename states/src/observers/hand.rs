@@ -7,7 +7,7 @@ use std::sync::Arc;
 use armarium_memoryx::updater::Updater;
 use armarium_runtime::channels::Channels;
 use armarium_values::{Frame, Observation, Value, Vector};
-use armarium_visionx::{HandObserver, HandStep, observations_of};
+use armarium_visionx::{HandObserver, HandStep, ImageError};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::arm::tcp_of;
@@ -18,19 +18,21 @@ use crate::observers::arrival::Arrival;
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let mut wanted = channels.wanted("hand");
     let Ok(updater) = Updater::new(Arc::clone(&equipment.memory), &equipment.agent) else { return };
-    let fresh = || HandStep::new(HandObserver::new(equipment.images.calibration()));
-    let (mut hand, mut arrival) = (fresh(), Arrival::default());
+    let look = || equipment.look(HandStep::new(HandObserver::new(equipment.images.calibration())));
+    let (mut sight, mut arrival) = (None, Arrival::default());
     loop {
         while *wanted.borrow_and_update() == 0 {
+            sight = None;
             if wanted.changed().await.is_err() {
                 return;
             }
-            hand = fresh();
         }
-        let Ok(frame) = equipment.images.next().await else { return };
-        let Some(seen) = observations_of(&mut hand, &frame, &Frame::root()).pop() else {
-            continue;
+        let frame = match sight.get_or_insert_with(look).next().await {
+            Ok(frame) => frame,
+            Err(ImageError::Gone { .. }) => return,
+            Err(_) => continue,
         };
+        let Some(seen) = frame.of_class("hand").cloned() else { continue };
         let mut value = describe(&equipment, &channels, &seen);
         let motion = channels.newest("motion");
         let field = |name: &str| motion.as_ref().and_then(|s| s.value.get(name).and_then(Value::as_f64));
@@ -49,7 +51,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
 /// The fields of the channel.
 fn describe(equipment: &Equipment, channels: &Channels, seen: &Observation) -> Value {
     let attribute = |name: &str| seen.attributes.get(name).cloned().map(|value| (name.to_owned(), value));
-    let told = ["gesture", "hidden", "direction"].into_iter().filter_map(attribute);
+    let told = ["gesture", "hidden", "direction", "shown"].into_iter().filter_map(attribute);
     let mut fields: BTreeMap<String, Value> = told.collect();
     fields.insert("confidence".into(), seen.confidence.into());
     if let Some(place) = &seen.place {

@@ -1,9 +1,11 @@
 //! Observers: tasks that publish sensor data on channels, which charts watch and skills read; what publishes what charts observe of
-//! memory; and one that tells the robot what memory knows of its surroundings.
+//! memory; one that tells the robot what memory knows of its surroundings, and one that tells memory where the things are that the robot
+//! carries.
 //!
 //! [`channels`] describes them, with fields, units and rates; `armarium channels` prints it.
 
 mod arrival;
+mod carried;
 mod hand;
 mod memory;
 mod surroundings;
@@ -50,6 +52,11 @@ fn hand() -> ChannelDescription {
             "to the TCP of the arm that executes the motion, or that works",
         ),
         ("hidden", Type::FLOAT, "the share of its outline that is hidden, 0 to 1"),
+        (
+            "shown",
+            Type::map(Type::Any),
+            "what it showed clearly: `gesture`, for how long (`for`, s), `position` and `direction` then; and where it was `seen_at` last",
+        ),
         ("came_at", Type::quantity(Unit::RAD), "phase of the running motion at which it came to rest"),
     ];
     ChannelDescription {
@@ -105,5 +112,6 @@ pub fn start(equipment: &Equipment, channels: &Channels) -> Vec<JoinHandle<()>> 
         tokio::spawn(wrist::observe(equipment.clone(), channels.clone())),
         tokio::spawn(hand::observe(equipment.clone(), channels.clone())),
         tokio::spawn(surroundings::observe(equipment.clone())),
+        tokio::spawn(carried::observe(equipment.clone())),
     ]
 }

@@ -1,7 +1,7 @@
 //! What memory knows of places, such as a table, for the robot's guard: its bodies keep their distance from them. And where the
-//! robot stands in the world, for the frames.
+//! robot, other agents and those places stand, for the frames.
 
-use armarium_memoryx::Snapshot;
+use armarium_memoryx::{Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};
@@ -11,16 +11,21 @@ use tokio::sync::broadcast::error::RecvError;
 use crate::equipment::Equipment;
 use crate::places::places;
 
-/// The core segment of agents.
+/// The core segments that say where something stands.
 pub(super) const AGENTS: &str = "AgentInstances";
+const PLACES: &str = "EnvironmentModels";
 
 /// Passes places in memory on to the robot, and the pose of its root frame on to the frames, now and whenever they change.
 pub(super) async fn observe(equipment: Equipment) {
     let mut updates = equipment.memory.subscribe();
     let mut known: Option<Vec<KnownBox>> = None;
     loop {
-        if let Ok(agents) = equipment.memory.segment(AGENTS).await {
-            agents.iter().for_each(|agent| stand((&equipment.transforms, &equipment.agent), agent));
+        let links = equipment.robot.model().links();
+        for segment in [AGENTS, PLACES] {
+            let known = equipment.memory.segment(segment).await.unwrap_or_default();
+            // The robot knows best where its own links are.
+            let known = known.iter().filter(|thing| links.iter().all(|link| link.name != thing.id.entity()));
+            known.for_each(|thing| stand((&equipment.transforms, &equipment.agent), thing));
         }
         match places(equipment.remembered()).await {
             Ok(places) if known.as_ref() != Some(&places) => {
@@ -36,7 +41,7 @@ pub(super) async fn observe(equipment: Equipment) {
         }
         loop {
             match updates.recv().await {
-                Ok(update) if !["EnvironmentModels", AGENTS].contains(&update.id.segment()) => {}
+                Ok(update) if ![PLACES, AGENTS].contains(&update.id.segment()) => {}
                 Ok(_) | Err(RecvError::Lagged(_)) => break,
                 Err(RecvError::Closed) => return,
             }
@@ -44,14 +49,19 @@ pub(super) async fn observe(equipment: Equipment) {
     }
 }
 
-/// Tells the frames where the robot's root is, if that is what a snapshot says: that of the agent of this name.
-pub(super) fn stand((transforms, own): (&RwLock<Transforms>, &str), agent: &Snapshot) {
-    let Some(Value::Pose(pose)) = agent.attribute("pose").filter(|_| agent.id.entity() == own) else {
-        return;
+/// Tells the frames where an agent's root or a place is, if that is what a snapshot says: the root of the agent `own` is `root`, another
+/// agent's `alice/root`, and a table `table`.
+pub(super) fn stand((transforms, own): (&RwLock<Transforms>, &str), thing: &Snapshot) {
+    let Some(Value::Pose(pose)) = thing.attribute("pose") else { return };
+    let name = thing.id.entity();
+    let frame = match thing.id.segment() == AGENTS {
+        true if name == own => Frame::root(),
+        true => Frame(format!("{name}/root")),
+        false => Frame(name.to_owned()),
     };
-    if pose.frame != Frame::root()
-        && let Err(error) = transforms.write().fix(&Frame::root(), pose)
-    {
-        tracing::warn!("the frames do not know where `{}` stands: {error}", agent.id);
+    let fixed = [Frame::root(), Frame(WORLD.to_owned())];
+    let stands = fixed.contains(&pose.frame) && pose.frame != frame && frame.0 != WORLD;
+    if stands && let Err(error) = transforms.write().fix(&frame, pose) {
+        tracing::warn!("the frames do not know where `{}` stands: {error}", thing.id);
     }
 }

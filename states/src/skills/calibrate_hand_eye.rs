@@ -7,18 +7,17 @@
 use std::sync::Arc;
 
 use armarium_motion::{StraightLine, rigid_fit};
-use armarium_robot::{Limb, Marker};
+use armarium_robot::Marker;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
-use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
+use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings, MarkerStep};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
-use crate::frames::Frames;
 use crate::grasp::{hand, marker};
 use crate::hand_eye::HandEye;
-use crate::inputs::as_point;
+use crate::inputs::{as_point, seen_at};
 use crate::motions::failed;
 use crate::surface::from_level;
 
@@ -80,14 +79,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let palm = facing * hand.palm_down(yaw);
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut watcher = MarkerWatcher::new(&equipment, arm.limb())?;
+    let marker = marker(model, arm.limb())?;
     // The mounting through which everything is seen now.
     let known = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
         let tcp = Isometry3::from_parts((center.coords + facing * Vector3::from(place)).into(), palm);
         go(&mut arm, &mut senses, tcp).await?;
-        if let Some((is, should)) = watcher.look(&equipment, &mut arm, &mut senses).await? {
+        if let Some((is, should)) = look(&equipment, &marker, &mut arm, &mut senses).await? {
             seen.push(is);
             expected.push(should);
         }
@@ -132,48 +131,35 @@ async fn go(arm: &mut LeasedArm, senses: &mut Senses, tcp: Isometry3<f64>) -> Re
     Ok(())
 }
 
-/// Observes the marker on the robot's hand.
-struct MarkerWatcher {
-    marker: Marker,
-    frames: Frames,
-    tracking: ColorMarkerObjectTracking,
-}
+/// The class under which the processor observes the marker.
+const MARKER: &str = "marker";
 
-impl MarkerWatcher {
-    fn new(equipment: &Equipment, arm: &Limb) -> Result<Self, Failure> {
-        let marker = marker(equipment.robot.model(), arm)?;
-        let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
-        let calibration = equipment.images.calibration();
-        Ok(Self {
-            marker,
-            frames: Frames::of(&equipment.images),
-            tracking: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
-        })
-    }
-
-    /// The marker's position in the left camera's frame, as seen and as computed from the joints of arm and head;
-    /// the mean of several frames with the hand at rest.
-    async fn look(
-        &mut self,
-        equipment: &Equipment,
-        arm: &mut LeasedArm,
-        senses: &mut Senses,
-    ) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
-        let (mut seen, mut expected, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
-        while count < FRAMES && waited < 1.5 {
-            let (sample, dt) = senses.next().await?;
-            waited += dt;
-            arm.hold(&sample)?;
-            let Some(frame) = self.frames.new_frame()? else { continue };
-            if let Some(marker) = self.tracking.update(&frame).filter(|m| m.visible > 0.5) {
-                let at =
-                    equipment.robot.model().link_pose(&sample.position, self.marker.link).translation.vector;
-                seen += marker.point_in_left.coords;
-                expected += (frame.root_from_left.inverse() * Point3::from(at)).coords;
-                count += 1;
-            }
+/// The marker's position in the left camera's frame, as seen and as computed from the joints of arm and head; the mean of
+/// several frames with the hand at rest.
+async fn look(
+    equipment: &Equipment,
+    marker: &Marker,
+    arm: &mut LeasedArm,
+    senses: &mut Senses,
+) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
+    let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
+    let tracking = ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
+    let mut sight = equipment.look(MarkerStep::new(tracking, MARKER));
+    let (mut seen, mut expected, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
+    while count < FRAMES && waited < 1.5 {
+        let (sample, dt) = senses.next().await?;
+        waited += dt;
+        arm.hold(&sample)?;
+        let Some(frame) = sight.newest().map_err(failed)? else { continue };
+        let well_seen = frame.of_class(MARKER).filter(|marker| marker.confidence > 0.5);
+        if let Some(at) = well_seen.and_then(seen_at) {
+            let left_from_root = frame.root_from_left.inverse();
+            let should = equipment.link_at(marker.link, frame.stamp_ns)?.translation.vector;
+            seen += (left_from_root * at).coords;
+            expected += (left_from_root * Point3::from(should)).coords;
+            count += 1;
         }
-        let mean = |sum: Vector3<f64>| Point3::from(sum / count as f64);
-        Ok((count >= 2).then(|| (mean(seen), mean(expected))))
     }
+    let mean = |sum: Vector3<f64>| Point3::from(sum / count as f64);
+    Ok((count >= 2).then(|| (mean(seen), mean(expected))))
 }

@@ -1,19 +1,17 @@
 //! `LocateObject`: finds an object of prior knowledge in the stereo images by its colour and size, and the table on which it
 //! stands, where the images have depth.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{Commit, EntityId};
+use armarium_memoryx::updater::Updater;
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Value};
-use armarium_visionx::{BoxModel, ColorModel, ObjectEstimate, ObjectLocalizer};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use armarium_values::{Frame, Observation, Type, Vector};
+use armarium_visionx::{BoxModel, ColorModel, ObjectStep};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::frames::Frames;
-use crate::inputs::{pose_value, reference};
+use crate::inputs::{pose_value, reference, seen_pose};
 use crate::motions::failed;
 use crate::prior::object_class;
 use crate::surface::Surface;
@@ -39,11 +37,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let timeout = context.number("timeout")?;
     let class = object_class(&*equipment.memory, name).await?;
     let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
-    let mut localizer = ObjectLocalizer::new(equipment.images.calibration(), model);
-    let mut frames = Frames::of(&equipment.images);
+    let mut sight = equipment.look(ObjectStep::on_a_table(equipment.images.calibration(), model, name));
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut sights: Vec<ObjectEstimate> = Vec::new();
-    let mut tilt = UnitQuaternion::identity();
+    let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
+    let (mut sights, mut table, mut search) = (Vec::new(), None, None);
     let (mut waited, mut looked) = (0.0, 0);
     while sights.len() < DETECTIONS {
         let (_, dt) = senses.next().await?;
@@ -55,47 +52,58 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 class.color[0], class.color[1], class.color[2]
             )));
         }
-        let Some(frame) = frames.new_frame()? else { continue };
+        let Some(frame) = sight.newest().map_err(failed)? else { continue };
         looked += 1;
-        if sights.is_empty()
-            && let Some(first) = localizer.localize(&frame)
-        {
-            let middle = Point3::from(first.root_from_object.translation.vector);
-            let memory = (equipment.remembered(), equipment.agent.as_str());
-            let camera = equipment.images.calibration().camera;
-            if let Some(table) = Surface::see(memory, camera, &frame, (&middle, class.size[2])).await? {
-                tilt = table.rotation();
-                localizer = localizer.standing_on(tilt);
-            }
+        table = table.or_else(|| frame.of_class("table").cloned());
+        sights.extend(frame.of_class(name).cloned());
+        search.clone_from(&frame.search);
+        if frame.of_class(name).is_none() {
+            // It is not where it may have been before.
+            let (_, missed) = equipment.remembered().placed(Vec::new(), search.clone());
+            updater.update_from(&[], missed.as_ref()).await.map_err(failed)?;
         }
-        sights.extend(localizer.localize(&frame));
     }
-    let pose = median(&sights, &tilt);
-    let stamp_ns = senses.newest().stamp_ns;
-    let id = EntityId::new("ObjectInstances", &equipment.agent, name).map_err(failed)?;
-    let placed = equipment.remembered().placed(&pose);
-    let attributes = BTreeMap::from([("class".to_owned(), Value::from(name)), ("pose".to_owned(), placed)]);
-    let confidence = sights[0].visible.clamp(0.0, 1.0);
-    let commit = Commit::new(id.clone(), stamp_ns, attributes).with_confidence(confidence);
-    equipment.memory.commit(vec![commit]).await.map_err(failed)?;
+    drop(sight);
+    let tilt = table.as_ref().and_then(seen_pose).map(|pose| Surface::of(pose).rotation());
+    let seen = median(sights, &tilt.unwrap_or_else(UnitQuaternion::identity));
+    let seen: Vec<Observation> = table.into_iter().chain(seen).collect();
+    let (seen, search) = equipment.remembered().placed(seen, search);
+    let written = updater.update_from(&seen, search.as_ref()).await.map_err(failed)?;
+    let id = written.into_iter().map(|(id, _)| id).next_back();
+    let id = id.ok_or_else(|| Failure::new("nothing was written to memory"))?;
+    let known = equipment.memory.latest(&id).await.map_err(failed)?;
+    let pose = equipment.remembered().root_pose(&known);
+    let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
     Ok(Outcome::success().with("object", reference("Object", &id)).with("pose", pose_value(&pose)))
 }
 
-/// The median of each coordinate, upright on a surface of this tilt. The yaw is taken relative to the first detection, as a box looks the same after
-/// half a turn.
-fn median(sights: &[ObjectEstimate], tilt: &UnitQuaternion<f64>) -> Isometry3<f64> {
-    let middle = |value: &dyn Fn(&ObjectEstimate) -> f64| {
-        let mut values: Vec<f64> = sights.iter().map(value).collect();
+/// One observation of the median of each coordinate, upright on a surface of this tilt, at the time of the last one. The yaw is
+/// taken relative to the first detection, as a box looks the same after half a turn.
+fn median(sights: Vec<Observation>, tilt: &UnitQuaternion<f64>) -> Option<Observation> {
+    let poses: Vec<Isometry3<f64>> = sights.iter().filter_map(seen_pose).collect();
+    let middle = |value: &dyn Fn(&Isometry3<f64>) -> f64| {
+        let mut values: Vec<f64> = poses.iter().map(value).collect();
         values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
+        values.get(values.len() / 2).copied()
     };
-    let first = sights[0].yaw;
-    let turn = |yaw: f64| {
-        let d = yaw - first;
+    let yaw = |pose: &Isometry3<f64>| {
+        let turned = tilt.inverse() * pose.rotation * Vector3::x();
+        turned.y.atan2(turned.x)
+    };
+    let first = yaw(poses.first()?);
+    let turn = |pose: &Isometry3<f64>| {
+        let d = yaw(pose) - first;
         d - (d / std::f64::consts::PI).round() * std::f64::consts::PI
     };
-    let yaw = first + middle(&|s| turn(s.yaw));
-    let at = |axis: usize| middle(&|s| s.root_from_object.translation.vector[axis]);
-    let upright = tilt * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-    Isometry3::from_parts(Vector3::new(at(0), at(1), at(2)).into(), upright)
+    let at = |axis: usize| middle(&|pose| pose.translation.vector[axis]);
+    let upright = tilt * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), first + middle(&turn)?);
+    let center = Vector3::new(at(0)?, at(1)?, at(2)?);
+    let mut seen = sights
+        .into_iter()
+        .next_back()?
+        .with("pose", pose_value(&Isometry3::from_parts(center.into(), upright)));
+    if let Some(place) = &mut seen.place {
+        place.position = Vector::new(Frame::root(), &center);
+    }
+    Some(seen)
 }

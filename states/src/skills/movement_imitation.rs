@@ -14,13 +14,12 @@ use armarium_runtime::skill::{
     Failure, Mark, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult,
 };
 use armarium_values::{Type, Unit};
-use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
+use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings, MarkerStep};
 use nalgebra::Point3;
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::frames::Frames;
-use crate::inputs::reference;
+use crate::inputs::{reference, seen_at};
 use crate::motions::{self, failed};
 use crate::prior::object_class;
 
@@ -79,14 +78,14 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Observed
     let most_periods = context.number("periods")?;
     let marker = context.text("marker")?;
     let class = object_class(&*equipment.memory, marker).await?;
-    let mut tracking = ColorMarkerObjectTracking::new(
+    let tracking = ColorMarkerObjectTracking::new(
         equipment.images.calibration(),
         MarkerSettings::new(class.color).with_diameter(class.size.iter().sum::<f64>() / 3.0),
         equipment.seed,
     );
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
     let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
-    let mut frames = Frames::of(&equipment.images);
+    let mut sight = equipment.look(MarkerStep::new(tracking, marker));
     let mut senses = Senses::new(&*equipment.robot, context);
     equipment.robot.say(REQUEST);
     let (mut last_learned, mut waited) = (None, 0.0);
@@ -100,9 +99,9 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Observed
                 class.color[0], class.color[1], class.color[2]
             )));
         }
-        let Some(frame) = frames.new_frame()? else { continue };
+        let Some(frame) = sight.newest().map_err(failed)? else { continue };
         let time = frame.stamp_ns as f64 * 1e-9;
-        let place = tracking.update(&frame).map(|tool| frame.root_from_left * tool.point_in_left);
+        let place = frame.of_class(marker).and_then(seen_at);
         let known = match place {
             Some(point) => segmenter.observe(time, point).map_err(failed)?,
             None => segmenter.known(),

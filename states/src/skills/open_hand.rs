@@ -8,6 +8,7 @@ use armarium_values::{Type, Unit};
 use crate::arm::{Senses, moves_the_hand};
 use crate::equipment::{self, Equipment};
 use crate::hand::Hand;
+use crate::held::let_go;
 use crate::motions::failed;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -30,6 +31,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let missing = aperture - hand.aperture(&sample);
         if missing < 0.002 {
             equipment.robot.set_load(hand.name(), None).map_err(failed)?;
+            let_go(&equipment, hand.name()).await?;
             return Ok(Outcome::success().with("aperture", hand.aperture(&sample)));
         }
         if elapsed > timeout {

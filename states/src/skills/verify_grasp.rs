@@ -6,21 +6,22 @@ use std::sync::Arc;
 use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
-use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
+use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings, MarkerStep};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{LeasedArm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
-use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
-use crate::inputs::{Inputs, pose_value};
+use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
 use crate::surface::Surface;
 
 const GRAVITY: f64 = 9.81;
+/// The class under which the processor observes what is in the hand.
+const HELD: &str = "held";
 /// A hand with an aperture below this holds nothing, m.
 const MIN_APERTURE: f64 = 0.02;
 /// Largest distance of the detected object from its place in the hand, m.
@@ -127,20 +128,21 @@ async fn look(
     (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
 ) -> Result<ObjectDetection, Failure> {
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
-    let mut tracking =
-        ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
-    let mut frames = Frames::of(&equipment.images);
+    let tracking = ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
+    let (hand, held) = (equipment.clone(), *held_in_tcp);
+    let tcp = tcp_of(arm.limb())?;
+    let in_hand = move |stamp_ns| Some(hand.link_at(tcp, stamp_ns).ok()? * held);
+    let mut sight = equipment.look(MarkerStep::new(tracking, HELD).expected_at(in_hand.clone()));
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {
         let (sample, dt) = senses.next().await?;
         waited += dt;
         arm.hold(&sample)?;
-        let Some(frame) = frames.new_frame()? else { continue };
-        let held = arm.tcp(&sample) * held_in_tcp;
-        let held_in_left = frame.root_from_left.inverse() * held;
-        let Some(seen) = tracking.update_near(&frame, Some(&held_in_left)) else { continue };
-        let away = (seen.point_in_left - held_in_left).norm();
-        let at = frame.root_from_left * seen.point_in_left;
+        let Some(frame) = sight.newest().map_err(failed)? else { continue };
+        let Some((at, held)) = frame.of_class(HELD).and_then(seen_at).zip(in_hand(frame.stamp_ns)) else {
+            continue;
+        };
+        let away = (at - held).norm();
         if away < IN_HAND || (surface.above(&at) - surface.above(stood)).abs() < ON_TABLE {
             nearest = nearest.min(away);
         }

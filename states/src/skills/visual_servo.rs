@@ -10,15 +10,15 @@ use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, MarkerSettings, ObjectLocalizer, StereoFrame,
+    BoxModel, ColorMarkerObjectTracking, ColorModel, MarkerSettings, MarkerStep, ObjectLocalizer, ObjectStep,
+    Sight, Sighting, StereoStep,
 };
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
-use crate::frames::Frames;
 use crate::grasp::{hand, held_in_tcp, marker};
-use crate::inputs::{Inputs, pose_value};
+use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 use crate::skills::move_tcp::tolerances;
@@ -81,7 +81,7 @@ async fn servo(
     let mut last_frame_ns = None;
     loop {
         let (sample, _) = senses.next().await?;
-        if let Some(frame) = sight.frames.new_frame()? {
+        if let Some(frame) = sight.sight.newest().map_err(failed)? {
             let dt = frame.stamp_ns.saturating_sub(last_frame_ns.unwrap_or(frame.stamp_ns)).max(1_000_000)
                 as f64
                 * 1e-9;
@@ -120,11 +120,13 @@ fn explain(status: ServoStatus, distance: f64) -> String {
     }
 }
 
+/// The classes under which the processors observe the hand's marker and the object.
+const HAND: &str = "hand";
+const OBJECT: &str = "object";
+
 /// The detections of hand and object.
 struct Detections {
-    frames: Frames,
-    hand: ColorMarkerObjectTracking,
-    localizer: ObjectLocalizer,
+    sight: Sight,
     /// Centre of the object as seen, root frame.
     center: Point3<f64>,
     /// The middle of what the hand holds, in its TCP's frame.
@@ -145,10 +147,14 @@ impl Detections {
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let marker = marker(equipment.robot.model(), arm)?;
         let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
+        let hand_tracking = ColorMarkerObjectTracking::new(calibration, settings, equipment.seed);
+        let localizer = ObjectLocalizer::new(calibration, model).standing_on(surface.rotation());
+        let both: Vec<Box<dyn StereoStep>> = vec![
+            Box::new(ObjectStep::new(localizer, OBJECT)),
+            Box::new(MarkerStep::new(hand_tracking, HAND)),
+        ];
         Ok(Self {
-            frames: Frames::of(&equipment.images),
-            hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
-            localizer: ObjectLocalizer::new(calibration, model).standing_on(surface.rotation()),
+            sight: equipment.look(both),
             center: Point3::from(pose.translation.vector),
             held_in_tcp: held_in_tcp(hand(equipment.robot.model(), arm)?),
             palm: context.pose("target")?.rotation,
@@ -161,14 +167,13 @@ impl Detections {
     /// them.
     fn observe(
         &mut self,
-        frame: &StereoFrame,
+        frame: &Sighting,
         tcp: &Isometry3<f64>,
         marker: &Isometry3<f64>,
         over: &Vector3<f64>,
     ) -> Option<ServoObservation> {
         self.look_for_object(frame);
-        let seen = self.hand.update(frame).filter(|m| m.visible > 0.3)?;
-        let seen = frame.root_from_left * seen.point_in_left;
+        let seen = frame.of_class(HAND).filter(|marker| marker.confidence > 0.3).and_then(seen_at)?;
         let shift = seen.coords - marker.translation.vector;
         let mut hand = *tcp;
         hand.translation.vector += shift;
@@ -176,12 +181,10 @@ impl Detections {
         Some(ServoObservation { hand, target: Isometry3::from_parts(target.into(), self.palm) })
     }
 
-    fn look_for_object(&mut self, frame: &StereoFrame) {
-        let Some(object) = self.localizer.localize(frame).filter(|o| o.visible > WELL_VISIBLE) else {
-            return;
-        };
-        let seen = object.root_from_object.translation.vector;
-        let step = seen - self.center.coords;
+    fn look_for_object(&mut self, frame: &Sighting) {
+        let object = frame.of_class(OBJECT).filter(|object| object.confidence > WELL_VISIBLE);
+        let Some(seen) = object.and_then(seen_at) else { return };
+        let step = seen - self.center;
         if step.norm() < MAX_JUMP {
             self.center += DETECTION_WEIGHT * step;
         }

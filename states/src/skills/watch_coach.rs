@@ -17,7 +17,7 @@ use crate::motions;
 const SPEED: f64 = 0.3;
 /// Time constant with which the gaze follows its target, s.
 const GAZE_TIME_CONSTANT: f64 = 0.5;
-/// A hand that has not been seen for this long is gone, s. The robot's arm hides it while passing.
+/// A hand of which no picture has come for this long is gone, s.
 const GONE_AFTER: f64 = 1.5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -37,31 +37,17 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut head = Head::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let _frames_are_wanted = context.channels.demand("hand");
-    let mut hand = LastSeenHand::default();
     let mut looked_at = middle;
     loop {
         let (sample, dt) = senses.next().await?;
-        let wanted = hand.update(dt, &context.channels).map_or(middle, |hand| (middle + hand) / 2.0);
+        let wanted = hand(&context.channels).map_or(middle, |hand| (middle + hand) / 2.0);
         looked_at += (wanted - looked_at) * (dt / GAZE_TIME_CONSTANT).min(1.0);
         head.look(&sample, dt, &Point3::from(looked_at), SPEED)?;
     }
 }
 
-/// Where the coach's hand was last seen.
-#[derive(Default)]
-struct LastSeenHand {
-    hand: Option<Vector3<f64>>,
-    /// Age of the detection, s.
-    age: f64,
-}
-
-impl LastSeenHand {
-    /// After `dt` s: the position of the hand (root frame, m), if there is one.
-    fn update(&mut self, dt: f64, channels: &Channels) -> Option<Vector3<f64>> {
-        let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < GONE_AFTER);
-        let place = seen.and_then(|s| s.value.get("position").and_then(as_vector));
-        self.age = if place.is_some() { 0.0 } else { self.age + dt };
-        self.hand = place.or(self.hand).filter(|_| self.age < GONE_AFTER);
-        self.hand
-    }
+/// Where the coach's hand was last seen, if that is not long ago (root frame, m).
+fn hand(channels: &Channels) -> Option<Vector3<f64>> {
+    let newest = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < GONE_AFTER)?;
+    newest.value.get("shown")?.get("seen_at").and_then(as_vector)
 }

@@ -3,6 +3,7 @@
 //! It does not know where frames come from; see [`crate::providers`].
 
 mod statistics;
+mod workers;
 
 use std::sync::Arc;
 
@@ -10,12 +11,13 @@ use async_trait::async_trait;
 use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
-use armarium_values::Observation;
+use armarium_values::{Observation, Search};
 
 use crate::frame::{ImageError, RgbImage};
 use crate::providers::{FrameSender, ImageProvider, PixelFormat, RawFrame, RawImage};
 
 pub use statistics::ProcessorStatistics;
+pub use workers::Workers;
 
 /// The frame and the processor of observations.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,8 +30,22 @@ pub struct SeenBy {
     pub stamp_ns: u64,
 }
 
-/// A processing step: takes one frame of each of its providers and returns what it observes. It may keep state between steps
-/// and must not block.
+/// What a processor has seen in one frame of each of its providers.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// What it observed.
+    pub observations: Vec<Observation>,
+    /// What it looked for, and where that would have been seen; `None` where nothing follows from what it did not find.
+    pub search: Option<Search>,
+}
+
+impl From<Vec<Observation>> for Seen {
+    fn from(observations: Vec<Observation>) -> Self {
+        Self { observations, search: None }
+    }
+}
+
+/// A processing step: takes one frame of each of its providers and returns what it observes. It may keep state between steps.
 pub trait ImageProcessor: Send {
     /// Its name.
     fn name(&self) -> &str;
@@ -39,7 +55,7 @@ pub trait ImageProcessor: Send {
     ///
     /// # Errors
     /// [`ImageError`] when the frames do not suit this processor; later ones may.
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError>;
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Seen, ImageError>;
 
     /// A picture of the frames that were processed last with what was seen in them, for people; `None` when the processor draws
     /// nothing.
@@ -53,7 +69,7 @@ pub trait ImageProcessor: Send {
 #[async_trait]
 pub trait ResultSink: Send + Sync {
     /// Takes what was observed in one frame. Returns whether more is wanted; `false` ends the loop.
-    async fn take(&self, by: &SeenBy, seen: Vec<Observation>) -> bool;
+    async fn take(&self, by: &SeenBy, seen: Seen) -> bool;
 }
 
 /// When a processor takes frames.
@@ -71,6 +87,8 @@ pub struct ProcessorLoop<'a> {
     pub inputs: Vec<Arc<dyn ImageProvider>>,
     /// When it takes frames.
     pub trigger: Trigger,
+    /// Where the processor works.
+    pub workers: Workers,
     /// The receiver of what it observes.
     pub sink: &'a dyn ResultSink,
     /// The sender of annotated images, if any.
@@ -117,7 +135,7 @@ impl Drop for NewestFrame {
 /// # Errors
 /// [`ImageError::Gone`] when a provider is gone.
 pub async fn run_processor(
-    processor: &mut dyn ImageProcessor,
+    mut processor: Box<dyn ImageProcessor>,
     with: &ProcessorLoop<'_>,
 ) -> Result<(), ImageError> {
     let gone = || ImageError::Gone { provider: String::new() };
@@ -162,7 +180,8 @@ pub async fn run_processor(
             with.statistics.skipped.add(1);
             continue;
         }
-        let more = step(processor, with, &provider, &frames).await;
+        let more;
+        (processor, more) = step(processor, with, &provider, frames).await;
         with.statistics.count(began, received);
         if !more {
             return Ok(());
@@ -172,33 +191,39 @@ pub async fn run_processor(
 
 /// Runs one step; returns whether more is wanted.
 async fn step(
-    processor: &mut dyn ImageProcessor,
+    processor: Box<dyn ImageProcessor>,
     with: &ProcessorLoop<'_>,
     provider: &str,
-    frames: &[Arc<RawFrame>],
-) -> bool {
-    let seen = match processor.process(frames) {
-        Ok(seen) => seen,
+    frames: Vec<Arc<RawFrame>>,
+) -> (Box<dyn ImageProcessor>, bool) {
+    let annotated = with.annotated.filter(|to| to.is_wanted());
+    let (taken, draws) = (frames.clone(), annotated.is_some());
+    let work = move |processor: &mut Box<dyn ImageProcessor>| {
+        let seen = processor.process(&taken)?;
+        Ok((seen, if draws { processor.annotated(&taken) } else { None }))
+    };
+    let (processor, processed) = with.workers.work(processor, work).await;
+    let (seen, image) = match processed {
+        Ok(processed) => processed,
         Err(error) => {
             with.statistics.count_unusable(processor.name(), &error);
-            return true;
+            return (processor, true);
         }
     };
-    if let Some(annotated) = with.annotated.filter(|to| to.is_wanted())
-        && let Some(image) = processor.annotated(frames)
-    {
+    if let (Some(annotated), Some(image)) = (annotated, image) {
         annotated.send(drawn(&frames[0], image));
     }
     if !frames.iter().all(|frame| frame.is_intact()) {
         with.statistics.torn.add(1);
-        return true;
+        return (processor, true);
     }
     let source = SeenBy {
         processor: processor.name().into(),
         provider: provider.into(),
         stamp_ns: frames[0].stamp_ns,
     };
-    with.sink.take(&source, seen).await
+    let more = with.sink.take(&source, seen).await;
+    (processor, more)
 }
 
 /// The annotated image as a frame.

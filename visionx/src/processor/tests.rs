@@ -51,14 +51,14 @@ struct Count {
 
 #[async_trait]
 impl ResultSink for Count {
-    async fn take(&self, source: &SeenBy, _: Vec<Observation>) -> bool {
+    async fn take(&self, source: &SeenBy, _: Seen) -> bool {
         assert_eq!(source.provider, "camera");
         self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
     }
 }
 
 async fn run(
-    processor: &mut dyn ImageProcessor,
+    processor: impl ImageProcessor + 'static,
     inputs: Vec<Arc<dyn ImageProvider>>,
     trigger: Trigger,
     wanted: u64,
@@ -66,8 +66,15 @@ async fn run(
 ) -> (Result<(), ImageError>, ProcessorStatistics) {
     let statistics = ProcessorStatistics::default();
     let sink = Count { wanted, taken: AtomicU64::new(0) };
-    let with = ProcessorLoop { inputs, trigger, sink: &sink, annotated, statistics: &statistics };
-    let ended = run_processor(processor, &with).await;
+    let with = ProcessorLoop {
+        inputs,
+        trigger,
+        workers: Workers::Joined,
+        sink: &sink,
+        annotated,
+        statistics: &statistics,
+    };
+    let ended = run_processor(Box::new(processor), &with).await;
     (ended, statistics)
 }
 
@@ -75,41 +82,43 @@ async fn run(
 async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
     let (drawn, pictures) =
         channel(ProviderDescription { name: "drawn".into(), ..ProviderDescription::default() });
-    let mut hand = OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
-    let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
+    let hand = || OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
+    let (ended, counts) = run(hand(), vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
     assert!(ended.is_ok());
     assert_eq!((counts.frames.get(), counts.skipped.get(), counts.unusable.get()), (3, 0, 0));
     assert!((counts.rate_hz() - 1.0 / 0.066).abs() < 1e-6);
     assert_eq!(pictures.next().await.unwrap().stamp_ns, 2);
-    let (ended, counts) = run(&mut hand, vec![camera(2)], Trigger::Next, 9, None).await;
+    let (ended, counts) = run(hand(), vec![camera(2)], Trigger::Next, 9, None).await;
     assert_eq!((ended, counts.frames.get()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
 }
 
 /// Accepts any frame.
-struct Look(Vec<Vec<u64>>);
+#[derive(Clone, Default)]
+struct Look(Arc<Mutex<Vec<Vec<u64>>>>);
 
 impl ImageProcessor for Look {
     fn name(&self) -> &str {
         "look"
     }
 
-    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Vec<Observation>, ImageError> {
-        self.0.push(frames.iter().map(|frame| frame.number).collect());
-        Ok(Vec::new())
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Seen, ImageError> {
+        let numbers = frames.iter().map(|frame| frame.number).collect();
+        self.0.try_lock().expect("nobody else reads it meanwhile").push(numbers);
+        Ok(Seen::default())
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
-    let mut look = Look(Vec::new());
+    let look = Look::default();
     let every = Trigger::Every(Duration::from_millis(150));
-    let (_, counts) = run(&mut look, vec![camera(20), camera(20)], every, 4, None).await;
-    assert_eq!(look.0, [[2, 2], [4, 4], [6, 6], [9, 9]]);
+    let (_, counts) = run(look.clone(), vec![camera(20), camera(20)], every, 4, None).await;
+    assert_eq!(*look.0.lock().await, [[2, 2], [4, 4], [6, 6], [9, 9]]);
     assert_eq!((counts.frames.get(), counts.skipped.get()), (4, 4));
-    let mut look = Look(Vec::new());
-    let (ended, _) = run(&mut look, vec![camera(3)], every, 40, None).await;
+    let look = Look::default();
+    let (ended, _) = run(look.clone(), vec![camera(3)], every, 40, None).await;
     assert!(matches!(ended, Err(ImageError::Gone { .. })));
-    assert_eq!(look.0, [[2], [3]]);
+    assert_eq!(*look.0.lock().await, [[2], [3]]);
 }
 
 /// Sends pairs of these sizes, one after the other.
@@ -141,9 +150,53 @@ async fn frames_of_another_size_than_the_calibration_s_are_counted_and_the_next_
     let size = (CALIBRATION.camera.width, CALIBRATION.camera.height);
     let sizes = vec![size, (1, 1), (size.0 + 1, size.1), (1, 480), size];
     let camera: Arc<dyn ImageProvider> = Arc::new(Sizes(sizes, AtomicU64::new(0)));
-    let mut hand = OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
-    let (ended, counts) = run(&mut hand, vec![camera], Trigger::Next, 9, None).await;
+    let hand = OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
+    let (ended, counts) = run(hand, vec![camera], Trigger::Next, 9, None).await;
     assert!(ended.is_err(), "the provider has gone");
     assert_eq!((counts.frames.get(), counts.unusable.get()), (5, 3));
     assert!(counts.why_unusable().is_some_and(|why| why.contains("1 x 1")), "{counts:?}");
+}
+
+/// Takes a second of the machine's time for each frame, and of nobody else's.
+struct Slow;
+
+impl ImageProcessor for Slow {
+    fn name(&self) -> &str {
+        "slow"
+    }
+
+    #[expect(clippy::disallowed_methods, reason = "it is busy, as a program is that computes for long")]
+    fn process(&mut self, _: &[Arc<RawFrame>]) -> Result<Seen, ImageError> {
+        std::thread::sleep(Duration::from_millis(300));
+        Ok(Seen::default())
+    }
+}
+
+#[tokio::test]
+async fn a_slow_processor_holds_up_nothing_and_gets_the_newest_frame() {
+    let statistics = ProcessorStatistics::default();
+    let sink = Count { wanted: 3, taken: AtomicU64::new(0) };
+    let with = ProcessorLoop {
+        inputs: vec![camera(1000)],
+        trigger: Trigger::Next,
+        workers: Workers::Threads,
+        sink: &sink,
+        annotated: None,
+        statistics: &statistics,
+    };
+    // Everything else goes on in this thread meanwhile: here, a clock that ticks.
+    let ticks = AtomicU64::new(0);
+    let tick = async {
+        loop {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+            ticks.fetch_add(1, Ordering::Relaxed);
+        }
+    };
+    tokio::select! {
+        biased;
+        ended = run_processor(Box::new(Slow), &with) => ended.unwrap(),
+        () = tick => {}
+    }
+    let ticks = ticks.into_inner();
+    assert!(ticks > 45, "the clock ticked {ticks} times beside three frames of 0.3 s");
 }

@@ -116,7 +116,10 @@ fn a_frame_without_place_or_depth_is_no_table_but_an_error_that_says_what_is_mis
     let mut tabletop = OfStereo::new(TabletopStep::new(TabletopSegmentation::new(CALIBRATION.camera)), pair);
     let mut asked = |frame: RawFrame| tabletop.process(&[Arc::new(frame)]).map_err(|e| e.to_string());
     let seen = asked(whole.clone()).unwrap();
-    assert_eq!((seen[0].segment.as_str(), seen[0].class.as_str()), ("EnvironmentModels", "table"));
+    assert_eq!(
+        (seen.observations[0].segment.as_str(), seen.observations[0].class.as_str()),
+        ("EnvironmentModels", "table")
+    );
 
     let nowhere = RawFrame { root_from_camera: None, ..whole.clone() };
     assert!(asked(nowhere).unwrap_err().contains("give `root_from_camera` in the frame's header"));

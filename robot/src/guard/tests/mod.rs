@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 
+use super::MAX_STEP_S;
 use crate::{
     Fault, ForceTorque, Guard, GuardConfig, GuardedRobot, Lease, LeaseError, LeaseLimits, Model, Robot,
     ServoJoints,
@@ -236,6 +237,29 @@ fn the_watchdog_acts_after_30_ms_and_only_on_what_moves() {
     rig.command(&lease, &[0.0; 7], 1);
     rig.run(500, |_| Vector3::zeros());
     assert_eq!(lease.fault(), None);
+}
+
+#[test]
+fn a_clock_that_jumps_forward_moves_nothing_far_and_ends_what_moves() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    let velocity = 0.3;
+    rig.command(&lease, &[velocity; 7], 100);
+    let before = rig.guard.targets.position.clone();
+    // Ten minutes between two samples: nobody knows what the skill would have commanded.
+    rig.now_ms += 600_000;
+    rig.step(&[]);
+    let went = |after: &[f64]| before.iter().zip(after).fold(0.0_f64, |most, (b, a)| most.max((a - b).abs()));
+    let jump = went(&rig.guard.targets.position);
+    assert!(jump < 2.0 * velocity * MAX_STEP_S, "{jump} rad in the step with the jump");
+    assert!(
+        matches!(lease.fault(), Some(Fault::Watchdog { silent_ms }) if silent_ms >= 600_000),
+        "{:?}",
+        lease.fault()
+    );
+    rig.run(200, |_| Vector3::zeros());
+    assert!(rig.fastest() < 0.01);
+    assert!(went(&rig.guard.targets.position) < 0.1, "it brakes where it was");
 }
 
 #[test]

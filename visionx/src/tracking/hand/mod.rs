@@ -3,7 +3,7 @@
 //! [`HandObserver`] combines regions that stand out by depth (`relief`) with colour (`skin`) to a silhouette of a
 //! hand's size at its distance (`candidates`), then finds the palm and stretched fingers (`shape`), the gesture
 //! ([`crate::tracking::GestureRecognizer`]), and points and directions (`depth`). Without a depth image it uses stereo.
-//! It finds one hand at a time and does not know whose.
+//! It finds one hand at a time and does not know whose. [`GestureOverTime`] follows what the hand shows from frame to frame.
 
 use std::fmt;
 
@@ -13,6 +13,7 @@ mod observer;
 mod paths;
 mod relief;
 pub(crate) mod shape;
+mod shown;
 mod skin;
 
 use nalgebra::{Point2, Point3, Vector3};
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::mask::Region;
 
 pub use observer::HandObserver;
+pub use shown::{GestureOverTime, ShownGesture};
 
 /// The gestures used for coaching.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

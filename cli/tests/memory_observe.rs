@@ -1,0 +1,54 @@
+//! What other programs observe comes into a memory through its updater.
+
+use std::io::Write as _;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::{Value, json};
+
+fn armarium(folder: &Path, args: &[&str], input: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    command.current_dir(folder).args(["memory", "--store", "m.redb", "--json"]).args(args);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut program = command.spawn().expect("the program of this package can be started");
+    let mut to = program.stdin.take().expect("it reads");
+    to.write_all(input.as_bytes()).expect("it takes what it is given");
+    drop(to);
+    program.wait_with_output().expect("it ends")
+}
+
+fn cup(x: f64) -> String {
+    let covariance = [1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4];
+    let seen = json!({
+        "segment": "ObjectInstances", "class": "cup", "stamp_ns": 5, "confidence": 0.6, "full": true,
+        "position": [x, 0.5, 0.9], "frame": "root", "covariance": covariance,
+    });
+    format!("{seen}\n")
+}
+
+#[test]
+fn a_line_is_an_observation_and_the_updater_joins_them() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let made = armarium(folder.path(), &["import", "-"], "");
+    assert!(made.status.success(), "{made:?}");
+    let lines = format!("{}\n{}{}", cup(0.1), cup(0.12), cup(0.8));
+    let observed = armarium(folder.path(), &["observe", "--provider", "door"], &lines);
+    assert!(observed.status.success(), "{observed:?}");
+    let said = String::from_utf8_lossy(&observed.stdout);
+    let expected =
+        ["ObjectInstances/door/cup 1", "ObjectInstances/door/cup 2", "ObjectInstances/door/cup_2 1"];
+    assert_eq!(said.lines().collect::<Vec<_>>(), expected);
+    let got = armarium(folder.path(), &["get", "ObjectInstances/door/cup"], "");
+    let cup: Value = serde_json::from_slice(&got.stdout).expect("one line of JSON");
+    assert!(cup.to_string().contains("0.84"), "surer than each: {cup}");
+
+    for (line, wrong) in [
+        ("{", "line 2: EOF"),
+        ("{\"segment\": \"S\"}", "line 2: an observation needs `stamp_ns`: a time, ns"),
+    ] {
+        let refused = armarium(folder.path(), &["observe", "--provider", "door"], &format!("\n{line}\n"));
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(2), "{said}");
+        assert!(said.contains(wrong), "{said}");
+    }
+}

@@ -1,0 +1,39 @@
+//! Tells memory where the things are that the robot carries, while it carries any: whoever follows it knows it too.
+
+use std::time::Duration;
+
+use tokio::sync::broadcast::error::RecvError;
+
+use crate::equipment::Equipment;
+use crate::held::{OwnHands, carry_on};
+
+/// How often memory is told.
+const PERIOD: Duration = Duration::from_millis(20);
+
+pub(super) async fn observe(equipment: Equipment) {
+    let hands = OwnHands(equipment.clone());
+    loop {
+        let mut changes = equipment.memory.subscribe();
+        match carry_on(&equipment, &hands).await {
+            Ok(false) => {}
+            Ok(true) => {
+                tokio::time::sleep(PERIOD).await;
+                continue;
+            }
+            // Somebody else has written it meanwhile, or memory is full.
+            Err(failure) => {
+                tracing::debug!("where things are carried was not written: {}", failure.reason);
+                tokio::time::sleep(PERIOD).await;
+                continue;
+            }
+        }
+        // Nothing is carried until memory says so.
+        loop {
+            match changes.recv().await {
+                Ok(change) if change.attribute("attached_to").is_none() => {}
+                Ok(_) | Err(RecvError::Lagged(_)) => break,
+                Err(RecvError::Closed) => return,
+            }
+        }
+    }
+}
