@@ -22,6 +22,8 @@ const THINGS: &str = "ObjectInstances";
 const RELATIONS: &str = "ObjectRelations";
 /// What stands on a thing has its underside within this of that one's upper side, m.
 const STANDS: f64 = 0.02;
+/// What stands on a thing was seen this much later at most than that thing where it stood, ns.
+const SEEN_TOGETHER_NS: u64 = 500_000_000;
 /// A thing that has moved by less, m and rad, since it was last written is not written again.
 const MOVED: (f64, f64) = (5e-4, 5e-3);
 
@@ -75,6 +77,10 @@ pub(crate) async fn take(
         for on_it in all.iter().filter(|known| stands_on(known, below)) {
             let Some(other) = &on_it.thing else { continue };
             let snapshot = equipment.memory.latest(other).await.map_err(failed)?;
+            // What was seen later may be the thing itself, in the hand already.
+            if snapshot.referenced_ns > thing.referenced_ns.saturating_add(SEEN_TOGETHER_NS) {
+                continue;
+            }
             let offset = below.shape.root_from_box.inverse() * on_it.shape.root_from_box;
             let model = MotionModel::Object { id: id.to_string(), offset };
             let own = EntityId::new(THINGS, &equipment.agent, other.entity()).map_err(failed)?;

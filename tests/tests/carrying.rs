@@ -54,6 +54,8 @@ impl Carries {
             model.link_pose(&equipment.robot.sensed().borrow().position, arm.tcp.unwrap())
         };
         let memory = &equipment.memory;
+        // To where the arm can move to all sides.
+        play("MoveJoints", &[("posture", Value::from("wipe"))]).await?;
 
         // A brick at the TCP, as prior knowledge knows it, turned a little; and another one upon it, whose class has the same size.
         let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.3);

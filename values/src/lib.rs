@@ -17,7 +17,7 @@ mod value;
 pub use frame_change::FrameChange;
 pub use geometry::{Frame, Pose, Vector, Wrench};
 pub use observation::{NotAnObservation, Observation, ObservedPlace};
-pub use search::Search;
+pub use search::{Search, Shown};
 pub use types::{ConvertError, Fit, Type};
 pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity, split_quantity};
 pub use value::{Reference, Value};

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Value, Vector};
+use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Shown, Value, Vector};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
@@ -110,15 +110,20 @@ pub(crate) fn search_of(
         return None;
     }
     let shown = Arc::clone(frame);
-    let open = move |point: &Point3<f64>| {
-        let in_left = shown.root_from_left.inverse() * point;
-        let Some(px) = camera.project(&in_left).filter(|_| in_left.z > 0.0) else { return false };
+    let view = move |place: &Point3<f64>| {
+        let in_left = shown.root_from_left.inverse() * place;
+        let Some(px) = camera.project(&in_left).filter(|_| in_left.z > 0.0) else { return Shown::Outside };
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-        let inside = px.x > BORDER && px.y > BORDER && px.x < width - BORDER && px.y < height - BORDER;
+        if px.x < BORDER || px.y < BORDER || px.x > width - BORDER || px.y > height - BORDER {
+            return Shown::Outside;
+        }
         let measured = shown.depth.as_ref().map(|depth| depth.at(px.x as u32, px.y as u32));
-        inside && measured.is_none_or(|depth| f64::from(depth) > in_left.z - BEFORE)
+        match measured.is_none_or(|depth| f64::from(depth) > in_left.z - BEFORE) {
+            true => Shown::Open,
+            false => Shown::Hidden,
+        }
     };
-    Some(Search::new(frame.stamp_ns, classes, &Frame::root(), open))
+    Some(Search::new(frame.stamp_ns, classes, &Frame::root(), view))
 }
 
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].

@@ -16,7 +16,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Frame, Observation, ObservedPlace, Search, Value, Vector};
+use armarium_values::{Frame, Observation, ObservedPlace, Search, Shown, Value, Vector};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
@@ -37,6 +37,8 @@ pub use motion::{Carriers, MotionModel, NoCarriers, carried, predict};
 pub const OBJECT_INSTANCES: &str = "ObjectInstances";
 /// How often an update tries again after a conflict with another writer.
 const MAX_TRIES: u32 = 8;
+/// How far a hand moves a thing that it hides, m.
+const IN_REACH: f64 = 0.5;
 
 /// Settings of the updater.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -214,8 +216,13 @@ impl Updater {
         Ok(updates.into_iter().map(|(_, update)| update).collect())
     }
 
-    /// Where an entity should have been seen by a search; `None` where it is carried, or out of view, or was not looked for.
-    fn sought_at(&self, search: &Search, entity: &Snapshot, held: &[Arc<Snapshot>]) -> Option<Vector3<f64>> {
+    /// Where an entity is in the view of a search, and how that place was seen; `None` where it is carried, or was not looked for.
+    fn sought_at(
+        &self,
+        search: &Search,
+        entity: &Snapshot,
+        held: &[Arc<Snapshot>],
+    ) -> Option<(Vector3<f64>, Shown)> {
         let class = entity.attribute("class").and_then(Value::as_str)?;
         let is_sought = |(segment, of): &(String, String)| segment == entity.id.segment() && of == class;
         let stands = MotionModel::of(entity.instance()?) == MotionModel::Static;
@@ -224,10 +231,11 @@ impl Updater {
         }
         let (frame, place) = predict(entity, search.stamp_ns, held, &*self.carriers, &self.settings)?;
         let place = place.mean();
-        (frame == search.frame && search.shows(&Point3::from(place))).then_some(place)
+        (frame == search.frame).then(|| (place, search.shows(&Point3::from(place))))
     }
 
-    /// A thing that is not where it should have been seen, while another place has one that nobody knew, has moved there.
+    /// A thing that is not where it should have been seen, while another place has one that nobody knew, has moved there. So has one
+    /// whose place is hidden, if it is near: what hides it is most likely the hand that moves it.
     fn find_moved<'h>(
         &self,
         search: &Search,
@@ -238,15 +246,22 @@ impl Updater {
         let found =
             |entity: &Arc<Snapshot>| matches.iter().any(|m| m.entity.is_some_and(|e| e.id == entity.id));
         let missed = known.iter().filter(|entity| !found(entity));
-        let mut missed: Vec<(&'h Arc<Snapshot>, Vector3<f64>)> =
+        let mut missed: Vec<(&'h Arc<Snapshot>, (Vector3<f64>, Shown))> =
             missed.filter_map(|entity| Some((*entity, self.sought_at(search, entity, held)?))).collect();
+        let may_be = |(was, shown): &(Vector3<f64>, Shown), is: &Vector3<f64>| match shown {
+            Shown::Open => true,
+            Shown::Hidden => (was - is).norm() < IN_REACH,
+            Shown::Outside => false,
+        };
         for matched in matches.iter_mut().filter(|matched| matched.entity.is_none()) {
             let Some((frame, place)) = self.measured(&observations[matched.observation])? else { continue };
             if frame != search.frame {
                 continue;
             }
-            let away = |(_, was): &(&Arc<Snapshot>, Vector3<f64>)| (was - place.mean()).norm();
-            let nearest = (0..missed.len()).min_by(|&a, &b| away(&missed[a]).total_cmp(&away(&missed[b])));
+            let place = place.mean();
+            let away = |(_, (was, _)): &(&Arc<Snapshot>, (Vector3<f64>, Shown))| (was - place).norm();
+            let candidates = (0..missed.len()).filter(|&at| may_be(&missed[at].1, &place));
+            let nearest = candidates.min_by(|&a, &b| away(&missed[a]).total_cmp(&away(&missed[b])));
             if let Some(nearest) = nearest {
                 (matched.entity, matched.moved) = (Some(missed.remove(nearest).0), true);
             }
@@ -261,9 +276,9 @@ impl Updater {
             let pattern = Pattern::segment(segment).of_provider(&self.provider);
             let held = self.memory.query(&Query::latest(pattern)).await?;
             for entity in held.iter().filter(|entity| !found.contains(&entity.id)) {
-                let Some(instance) =
-                    entity.instance().filter(|_| self.sought_at(search, entity, &held).is_some())
-                else {
+                let Some(instance) = entity.instance().filter(|_| {
+                    self.sought_at(search, entity, &held).is_some_and(|(_, shown)| shown == Shown::Open)
+                }) else {
                     continue;
                 };
                 let confidence = fuse_absence(instance.confidence, self.settings.detection);

@@ -189,10 +189,14 @@ async fn what_is_observed_without_a_place_is_where_it_was_and_no_surer() {
     assert!(updater.update(&[]).await.unwrap().is_empty());
 }
 
-/// A look for cups that would have seen everything left of `x` < 0.5.
+/// A search for cups that sees everything with `x` < 0.5; something is before what has `x` > 0.4.
 fn look(seconds: f64) -> Search {
     let classes = vec![(OBJECT_INSTANCES.to_owned(), "cup".to_owned())];
-    Search::new((seconds * 1e9) as u64, classes, &Frame::root(), |point| point.x < 0.5)
+    Search::new((seconds * 1e9) as u64, classes, &Frame::root(), |place| match place.x {
+        ..0.4 => Shown::Open,
+        ..0.5 => Shown::Hidden,
+        _ => Shown::Outside,
+    })
 }
 
 #[tokio::test(start_paused = true)]
@@ -251,8 +255,14 @@ async fn what_is_not_where_it_was_but_elsewhere_has_moved() {
     let moved = memory.latest_now(&first[0].0).unwrap();
     assert_eq!(moved.attribute("position").and_then(Value::as_vector3), Some([-0.2, 0.1, 1.0]));
     assert_eq!(moved.instance().unwrap().confidence, 0.6);
+    // A hand hides it, and nearby is one that nobody knew; far away, it would be another one.
+    let hidden = updater.update(&[cup(0.2, 0.45, 0.0)]).await.unwrap();
+    assert_eq!(names(&hidden), [("cup_3", 1)]);
+    let near = [cup(0.3, 0.3, 0.0), cup(0.3, -0.2, 0.1), cup(0.3, 0.1, 0.2)];
+    let found = updater.update_from(&near, Some(&look(0.3))).await.unwrap();
+    assert_eq!(names(&found), [("cup_2", 3), ("cup", 3), ("cup_3", 2)]);
     // Where nobody has looked, nothing is missed: it is another one.
-    assert_eq!(names(&updater.update(&[cup(0.2, 0.0, 0.4)]).await.unwrap()), [("cup_3", 1)]);
+    assert_eq!(names(&updater.update(&[cup(0.2, 0.0, 0.4)]).await.unwrap()), [("cup_4", 1)]);
 }
 
 #[tokio::test(start_paused = true)]
