@@ -88,6 +88,9 @@ struct Match<'h> {
     moved: bool,
 }
 
+/// An entity that was not found, where it is known to be, and how that place was seen.
+type Missed<'h> = (&'h Arc<Snapshot>, (Vector3<f64>, Shown));
+
 /// Writes observations into the provider segments of one process.
 pub struct Updater {
     memory: Arc<dyn Memory>,
@@ -246,7 +249,7 @@ impl Updater {
         let found =
             |entity: &Arc<Snapshot>| matches.iter().any(|m| m.entity.is_some_and(|e| e.id == entity.id));
         let missed = known.iter().filter(|entity| !found(entity));
-        let mut missed: Vec<(&'h Arc<Snapshot>, (Vector3<f64>, Shown))> =
+        let mut missed: Vec<Missed<'h>> =
             missed.filter_map(|entity| Some((*entity, self.sought_at(search, entity, held)?))).collect();
         let may_be = |(was, shown): &(Vector3<f64>, Shown), is: &Vector3<f64>| match shown {
             Shown::Open => true,
@@ -259,7 +262,7 @@ impl Updater {
                 continue;
             }
             let place = place.mean();
-            let away = |(_, (was, _)): &(&Arc<Snapshot>, (Vector3<f64>, Shown))| (was - place).norm();
+            let away = |(_, (was, _)): &Missed<'_>| (was - place).norm();
             let candidates = (0..missed.len()).filter(|&at| may_be(&missed[at].1, &place));
             let nearest = candidates.min_by(|&a, &b| away(&missed[a]).total_cmp(&away(&missed[b])));
             if let Some(nearest) = nearest {
