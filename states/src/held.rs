@@ -28,7 +28,7 @@ const SEEN_TOGETHER_NS: u64 = 500_000_000;
 const MOVED: (f64, f64) = (5e-4, 5e-3);
 
 /// A hand's name for all agents: the agent's name as prefix distinguishes the hands of several agents.
-pub(crate) fn hand_of_agent(equipment: &Equipment, hand: &str) -> String {
+fn hand_of_agent(equipment: &Equipment, hand: &str) -> String {
     format!("{}/{hand}", equipment.agent)
 }
 
@@ -146,7 +146,7 @@ pub(crate) async fn let_go(equipment: &Equipment, hand: &str) -> Result<(), Fail
         let (id, referenced_ns) = (thing.id.clone(), thing.referenced_ns);
         let gone = relation(equipment, &id, hand)?;
         commits.push(Commit { id, referenced_ns, instances, expected_version: None });
-        commits.push(Commit { id: gone, referenced_ns, instances: Vec::new(), expected_version: None });
+        commits.push(Commit::removal(gone, referenced_ns));
     }
     if !commits.is_empty() {
         equipment.memory.commit(commits).await.map_err(failed)?;

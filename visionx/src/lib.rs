@@ -62,8 +62,6 @@ pub use processor::{
 };
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
-pub use steps::{
-    FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep, observations_of,
-};
+pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

@@ -78,7 +78,7 @@ impl StereoStep for Vec<Box<dyn StereoStep>> {
 }
 
 /// What a step observes in a frame, with all places in `frame_of_root`, the frame of its `root_from_left`.
-pub fn observations_of(
+pub(crate) fn observations_of(
     step: &mut dyn StereoStep,
     frame: &StereoFrame,
     frame_of_root: &Frame,

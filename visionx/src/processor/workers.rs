@@ -3,11 +3,10 @@
 use std::panic::resume_unwind;
 
 /// Where processors work.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Workers {
     /// In virtual time: time stands still while a processor works, and they work one after the other, so that a run is
     /// repeatable.
-    #[default]
     Joined,
     /// In real time: on a thread each, so that a slow processor holds up nothing.
     Threads,
