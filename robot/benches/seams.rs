@@ -104,10 +104,19 @@ impl BarePut {
         put
     }
 
+    /// Until it is there, on the thread of the link.
     fn measure(&self) -> Duration {
         let began = now();
         self.sender.send(self.payload.clone()).unwrap();
         self.came.recv().unwrap() - began
+    }
+
+    /// Until somebody has it who waits for it, as a skill does.
+    fn measure_awaited(&self) -> Duration {
+        let began = now();
+        self.sender.send(self.payload.clone()).unwrap();
+        self.came.recv().unwrap();
+        now() - began
     }
 }
 
@@ -231,7 +240,7 @@ fn above(network: &Network, model: &Arc<Model>) {
         states.push(now() - began);
         seen.borrow_and_update();
         pause();
-        puts.push(put.measure());
+        puts.push(put.measure_awaited());
         pause();
     }
     compare("state to skill, against a put", states, puts);
@@ -340,7 +349,7 @@ fn below(network: &Network, model: &Arc<Model>) {
         told.sampled = told.sampled.split_off(&stamp_ns);
         drop(told);
         pause();
-        puts.push(put.measure());
+        puts.push(put.measure_awaited());
     }
     compare("sample to skill with the guard between, against a put", samples, puts);
 

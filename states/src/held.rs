@@ -130,23 +130,39 @@ fn stands_on(thing: &Known, below: &Known) -> bool {
     thing.thing != below.thing && over && (at.z - half.z - size.z).abs() < STANDS
 }
 
-/// Says in memory that a hand has let go: what it held stays where it is now.
+/// Says in memory that a hand has let go: what it held, and what stands on that, stays where it is now.
 pub(crate) async fn let_go(equipment: &Equipment, hand: &str) -> Result<(), Failure> {
     let name = hand_of_agent(equipment, hand);
-    let mut commits = Vec::new();
-    for thing in own_things(equipment).await? {
+    let mut attached: Vec<_> = own_things(equipment)
+        .await?
+        .into_iter()
+        .filter_map(|thing| {
+            let model = MotionModel::of(thing.instance()?);
+            Some((thing, model))
+        })
+        .collect();
+    let held = |model: &MotionModel| matches!(model, MotionModel::Hand { name: by, .. } if *by == name);
+    let mut free: Vec<Arc<Snapshot>> =
+        attached.extract_if(.., |(_, model)| held(model)).map(|(thing, _)| thing).collect();
+    let mut commits: Vec<Commit> = Vec::new();
+    for thing in &free {
+        commits.push(Commit::removal(relation(equipment, &thing.id, hand)?, thing.referenced_ns));
+    }
+    // What stands on one of them, and what stands on that in turn.
+    let mut next = 0;
+    while let Some(below) = free.get(next).map(|thing| thing.id.to_string()) {
+        let on_it = |model: &MotionModel| matches!(model, MotionModel::Object { id, .. } if *id == below);
+        free.extend(attached.extract_if(.., |(_, model)| on_it(model)).map(|(thing, _)| thing));
+        next += 1;
+    }
+    for thing in free {
         let Some(instance) = thing.instance() else { continue };
-        if !matches!(MotionModel::of(instance), MotionModel::Hand { name: by, .. } if by == name) {
-            continue;
-        }
         let mut attributes = instance.attributes.to_map();
         attributes.retain(|name, _| !["attached_to", "offset"].contains(&name.as_str()));
         attributes.extend(MotionModel::Static.attributes());
         let instances = vec![Instance { attributes: attributes.into(), ..instance.clone() }];
         let (id, referenced_ns) = (thing.id.clone(), thing.referenced_ns);
-        let gone = relation(equipment, &id, hand)?;
         commits.push(Commit { id, referenced_ns, instances, expected_version: None });
-        commits.push(Commit::removal(gone, referenced_ns));
     }
     if !commits.is_empty() {
         equipment.memory.commit(commits).await.map_err(failed)?;

@@ -94,7 +94,9 @@ impl Carries {
 
         play("OpenHand", &[]).await?;
         let left = known(&equipment, "tray").await;
-        assert_eq!((left.attribute("attached_to"), left.attribute("offset")), (None, None));
+        for thing in [&left, &known(&equipment, "cup").await] {
+            assert_eq!((thing.attribute("attached_to"), thing.attribute("offset")), (None, None));
+        }
         let relations = memory.query(&Query::latest(Pattern::segment("ObjectRelations"))).await.unwrap();
         assert!(relations.is_empty(), "nothing is in the hand: {relations:?}");
         let lies = place(&left);
