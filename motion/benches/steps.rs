@@ -3,13 +3,14 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
 
 use armarium_motion::{
-    AdaptiveOscillator, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
-    DiscretePeriodicConfig, DiscretePeriodicDmp, FrictionConfig, FrictionModel, LearningControl,
-    LearningControlConfig, OscillatorConfig, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo,
-    PotentialField, ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, joint_coupling,
+    AdaptiveOscillator, Admittance, AdmittanceConfig, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp,
+    DiscreteDmpConfig, DiscretePeriodicConfig, DiscretePeriodicDmp, FrictionConfig, FrictionModel,
+    LearningControl, LearningControlConfig, OscillatorConfig, PeriodicDmp, PeriodicDmpConfig, PhaseSample,
+    PositionServo, PotentialField, ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig,
+    joint_coupling,
 };
 use divan::{Bencher, black_box};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Vector3, Vector6};
 
 fn main() {
     divan::main();
@@ -114,6 +115,12 @@ fn servo(bencher: Bencher) {
     let seen =
         ServoObservation { hand: Isometry3::translation(0.1, 0.0, 0.2), target: Isometry3::identity() };
     bencher.bench_local(|| servo.step(0.001, Some(black_box(&seen))));
+}
+
+#[divan::bench]
+fn guiding(bencher: Bencher) {
+    let mut led = Admittance::new(AdmittanceConfig::default()).unwrap();
+    bencher.bench_local(|| led.step(0.001, black_box(&Vector6::repeat(5.0)), black_box(&Vector3::zeros())));
 }
 
 /// A discrete-periodic primitive at its start.

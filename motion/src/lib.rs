@@ -7,7 +7,7 @@
 //! Where to start reading: `dmp/mod.rs` is the core that all primitives share, and [`PeriodicDmp`] is the primitive
 //! that is executed. [`AdaptiveOscillator`] finds the frequency of a demonstration, [`Imitation`] combines the two,
 //! [`CoachedMotion`] changes a running motion, [`SurfaceAdaptation`] learns the motion that keeps a force, and [`Motion`]
-//! is the stored form. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
+//! is the stored form. [`Admittance`] lets a hand be led by the force on it. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
 //! orientations.
 //!
 //! Equation numbers refer to Petrič, Gams, Žlajpah, Ude and Morimoto, "Online approach for altering robot
@@ -18,6 +18,7 @@ mod constants;
 #[macro_use]
 mod dmp;
 
+mod admittance;
 mod coach;
 mod contact_frame;
 mod coupling;
@@ -44,6 +45,7 @@ mod surface_correction;
 mod synchronisation;
 mod touchdown;
 
+pub use admittance::{Admittance, AdmittanceConfig, GuidedStep, GuidingStatus};
 pub use coach::{CoachConfig, CoachInput, CoachReport, CoachedMotion, HandField};
 pub use contact_frame::ContactFrame;
 pub use coupling::{ObstacleAvoidance, joint_coupling};

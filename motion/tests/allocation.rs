@@ -3,12 +3,12 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use armarium_motion::{
-    AdaptiveOscillator, CoachArm, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
-    DiscreteOrientationDmp, DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, FrictionConfig,
-    FrictionModel, LearningControl, LearningControlConfig, MotionEdit, ObstacleAvoidance, OscillatorConfig,
-    PeriodicDmp, PeriodicDmpConfig, PeriodicOrientationDmp, PositionServo, PotentialField, ServoConfig,
-    ServoObservation, SurfaceAdaptation, SurfaceConfig, Synchronisation, SynchronisationConfig, Touchdown,
-    TouchdownConfig, joint_coupling, nearer_hand,
+    AdaptiveOscillator, Admittance, AdmittanceConfig, CoachArm, CoachConfig, CoachInput, CoachedMotion,
+    DiscreteDmp, DiscreteDmpConfig, DiscreteOrientationDmp, DiscretePeriodicConfig, DiscretePeriodicDmp,
+    FeedbackError, FrictionConfig, FrictionModel, LearningControl, LearningControlConfig, MotionEdit,
+    ObstacleAvoidance, OscillatorConfig, PeriodicDmp, PeriodicDmpConfig, PeriodicOrientationDmp,
+    PositionServo, PotentialField, ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig,
+    Synchronisation, SynchronisationConfig, Touchdown, TouchdownConfig, joint_coupling, nearer_hand,
 };
 use nalgebra::{Isometry3, Vector3, Vector6};
 
@@ -83,6 +83,13 @@ fn steps_do_not_allocate() {
         touchdown.step(0.001, 2.0).unwrap();
     });
     assert_eq!(n, 0, "friction and touchdown");
+
+    let mut led = Admittance::new(AdmittanceConfig::default()).unwrap();
+    let n = allocations(|| {
+        led.step(0.001, &Vector6::repeat(5.0), &Vector3::zeros()).unwrap();
+        led.hold_to(&Vector6::repeat(0.01)).unwrap();
+    });
+    assert_eq!(n, 0, "guiding");
 }
 
 #[test]

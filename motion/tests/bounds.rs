@@ -4,13 +4,13 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use armarium_motion::{
-    AdaptiveOscillator, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp, DiscreteDmpConfig,
-    DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl, LearningControlConfig, MotionError,
-    OscillatorConfig, OscillatorRule, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo,
-    ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, Synchronisation, SynchronisationConfig,
-    TimeSample,
+    AdaptiveOscillator, Admittance, AdmittanceConfig, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp,
+    DiscreteDmpConfig, DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl, LearningControlConfig,
+    MotionError, OscillatorConfig, OscillatorRule, PeriodicDmp, PeriodicDmpConfig, PhaseSample,
+    PositionServo, ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, Synchronisation,
+    SynchronisationConfig, TimeSample,
 };
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector6};
 use proptest::prelude::*;
 
 /// Numbers of every magnitude and sign, including 0 and the largest.
@@ -45,6 +45,20 @@ proptest! {
             let _ = dmp.step(n[5], n[4]);
             let s = dmp.state();
             prop_assert!(finite(s.y) && finite(dmp.weights()) && s.phase.is_finite(), "{dmp:?}");
+        }
+    }
+
+    #[test]
+    fn a_hand_that_is_led_stays_finite_and_within_its_speed(inputs in prop::collection::vec(numbers(10), 1..25)) {
+        let config = AdmittanceConfig { shove: f64::MAX, ..AdmittanceConfig::default() };
+        let mut law = Admittance::new(config.clone()).unwrap();
+        for n in inputs {
+            let wrench = Vector6::from_column_slice(&n[..6]);
+            let _ = law.hold_to(&wrench);
+            let Ok(step) = law.step(n[9], &wrench, &Vector3::new(n[6], n[7], n[8])) else { continue };
+            prop_assert!(finite(step.twist.as_slice()) && finite(law.zero().as_slice()), "{law:?}");
+            prop_assert!(step.twist.fixed_rows::<3>(0).norm() <= config.max_linear * (1.0 + 1e-9));
+            prop_assert!((0.0..=config.most_damping).contains(&step.damping));
         }
     }
 
