@@ -47,6 +47,10 @@ impl Console for Terminal {
         }
     }
 
+    fn page(&self, url: &str) {
+        self.note(url);
+    }
+
     fn happened(&self, line: &str) {
         if self.verbose {
             self.progress.print(line);
@@ -88,6 +92,10 @@ impl Console for JsonLines {
     fn note(&self, text: &str) {
         // A closed output does not stop the run.
         let _ = writeln!(io::stderr(), "{text}").is_ok();
+    }
+
+    fn page(&self, url: &str) {
+        self.note(url);
     }
 
     fn traced(&self, event: &serde_json::Value) {

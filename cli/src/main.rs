@@ -34,6 +34,7 @@ mod stopped;
 mod sweep;
 mod test_cases;
 mod type_json;
+mod view;
 mod vision;
 mod warnings;
 mod world;
@@ -56,6 +57,8 @@ use clap::{Parser, Subcommand};
     armarium step chart.yaml --interactive                    drive a chart by hand, without a robot\n  \
     armarium test statecharts/*.test.yaml                     play the test cases of charts\n  \
     armarium graph statecharts/wiping.yaml -o wiping.svg      draw a chart\n  \
+    armarium run statecharts/wiping.yaml --live               watch it in the browser\n  \
+    armarium view report/run.mcap                             look at it again\n  \
     armarium new my_robot                                     a chart, a world and a test of your own\n\n\
     Exit status: 0 success, 1 a run that failed, 2 a file or argument that is wrong.")]
 struct Arguments {
@@ -109,6 +112,8 @@ enum Command {
     Channels(channels::ChannelsArgs),
     /// List the skills and charts that charts can use.
     Skills(skills::SkillsArgs),
+    /// Show the recording of a run in the browser: play it, step, jump, with the chart, the world and all curves.
+    View(view::ViewArgs),
     /// Look for hands, gestures, fingertips and markers in images.
     Vision(vision::VisionArgs),
 }
@@ -142,6 +147,7 @@ fn main() -> ExitCode {
         Command::Send(args) => send::run(args, &mut out),
         Command::Channels(args) => channels::run(args, &mut out),
         Command::Skills(args) => skills::run(args, &mut out),
+        Command::View(args) => view::run(args, &mut out),
         Command::Vision(args) => vision::run(args, &mut out, &mut io::stderr()),
     };
     let status = match status {

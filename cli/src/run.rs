@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_host::{Address, Console, RobotAt, RunConfig, RunEnded};
+use armarium_host::{Address, Console, HostError, LiveOptions, RobotAt, RunConfig, RunEnded};
 use armarium_values::Type;
 use serde_json::json;
 
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::{JsonLines, Terminal, refuse};
 use crate::logging;
+use crate::stopped::stopped;
 
 /// Arguments of `run`.
 #[derive(Clone, Debug, clap::Args)]
@@ -76,6 +77,18 @@ pub(crate) struct RunArgs {
     /// Multiply all commanded velocities, for instance `0.05` for the first try with a real arm.
     #[arg(long, value_name = "FACTOR")]
     pub(crate) speed_scale: Option<f64>,
+    /// Serve a page of this machine that shows the run while it goes on; its address is printed first.
+    #[arg(long)]
+    pub(crate) live: bool,
+    /// The same, and the page may act: pause, step, breakpoints, events, stop.
+    #[arg(long)]
+    pub(crate) live_control: bool,
+    /// The same, and the program stays after the run's end until Ctrl-C, so that the page can look back.
+    #[arg(long)]
+    pub(crate) live_hold: bool,
+    /// The port of the page; 0 is any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    pub(crate) live_port: u16,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
@@ -162,11 +175,26 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         program: std::env::current_exe().ok(),
         longest: args.longest,
         largest_recording: args.largest_recording,
+        live: (args.live || args.live_control || args.live_hold)
+            .then_some(LiveOptions { port: args.live_port, control: args.live_control }),
         ..RunConfig::new(&args.chart)
     };
     let console: Arc<dyn Console> =
         if args.json { Arc::new(JsonLines) } else { Terminal::with_progress(args.verbose) };
-    match armarium_host::run(&config, &console) {
+    let ended = armarium_host::run(&config, &console);
+    let page = ended.as_ref().ok().and_then(|ended| ended.page.clone()).filter(|_| args.live_hold);
+    let status = concluded(ended, args, out)?;
+    if let Some(page) = page {
+        writeln!(out, "the page stays at {}; Ctrl-C ends it", page.url())?;
+        out.flush()?;
+        tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(stopped());
+    }
+    Ok(status)
+}
+
+/// Prints how the run ended. Returns the exit status.
+fn concluded(ended: Result<RunEnded, HostError>, args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
+    match ended {
         Ok(ended) if args.json => {
             let result = &ended.result;
             let line = json!({

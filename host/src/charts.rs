@@ -107,6 +107,10 @@ pub(crate) fn executor(
     let executor = Executor::new(program, registry, channels.clone(), options)?;
     // Robots and skills share one thread here: if a skill blocks it, no report can be written.
     let console = Arc::clone(console);
+    if config.live.as_ref().is_some_and(|live| live.control) {
+        // Somebody who lets time stand still holds up this thread, too.
+        return Ok(executor);
+    }
     Ok(executor.hang_after(HANG_TIMEOUT, Some(Box::new(move |state| console.blocked(state)))))
 }
 

@@ -46,6 +46,11 @@ pub trait Console: Send + Sync {
         let _ = state;
     }
 
+    /// A page in the browser shows this from now on.
+    fn page(&self, url: &str) {
+        let _ = url;
+    }
+
     /// From now on there is a world with this clock.
     fn world_begins(&self, clock: WorldClock) {
         let _ = clock;

@@ -109,6 +109,16 @@ pub enum HostError {
         /// The reason.
         why: String,
     },
+    /// The live page cannot be served.
+    #[error(
+        "the live page cannot listen on port {port} of this machine: {source}; `--live-port 0` takes one that is free"
+    )]
+    Live {
+        /// The port.
+        port: u16,
+        /// The operating system's error.
+        source: std::io::Error,
+    },
     /// The recording cannot be written.
     #[error("the recording cannot be written: {0}")]
     Recorder(#[from] RecorderError),

@@ -7,9 +7,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::codec;
-use armarium_robot::{Model, Robot};
+use armarium_robot::{Kinematics, Model, Robot};
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
+use armarium_viewer::live::RunHeader;
 use armarium_viewer::recorder::{Recorder, RecorderError, TrueContact, WrenchSample};
 use nalgebra::Isometry3;
 use parking_lot::Mutex;
@@ -109,13 +110,34 @@ impl TruthSink for RunDigest {
     }
 }
 
+/// Least time between two transforms of the same frame on `/tf`, ns.
+const TRANSFORMS_NS: u64 = 50_000_000;
+
 /// Writes the truth into the recording.
-pub(crate) struct TruthTopics(pub(crate) SharedRecorder);
+pub(crate) struct TruthTopics {
+    recorder: SharedRecorder,
+    /// The names of the world's bodies.
+    bodies: Vec<String>,
+    /// When they are due again, ns.
+    next_ns: u64,
+}
+
+impl TruthTopics {
+    pub(crate) fn new(recorder: SharedRecorder, bodies: Vec<String>) -> Self {
+        Self { recorder, bodies, next_ns: 0 }
+    }
+}
 
 impl TruthSink for TruthTopics {
     fn sample(&mut self, sample: &TruthSample) {
         let t = sample.stamp_ns;
-        self.0.write(|recorder| {
+        let due = t >= self.next_ns;
+        if due {
+            self.next_ns = t + TRANSFORMS_NS;
+        }
+        let bodies = self.bodies.iter().zip(&sample.objects).filter(|_| due);
+        self.recorder.write(|recorder| {
+            bodies.for_each(|(body, pose)| recorder.transform(body, t, pose));
             recorder.pose("/truth/tcp", t, &sample.tcp);
             if let Some((_, object)) = &sample.object_pose() {
                 recorder.pose("/truth/sponge", t, object);
@@ -134,16 +156,16 @@ impl TruthSink for TruthTopics {
     }
 
     fn frame(&mut self, frame: &FrameTruth) {
-        self.0.write(|recorder| recorder.json("/truth/hand", frame.stamp_ns, frame));
+        self.recorder.write(|recorder| recorder.json("/truth/hand", frame.stamp_ns, frame));
     }
 
     fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
-        self.0.write(|recorder| recorder.json("/truth/events", stamp_ns, event));
+        self.recorder.write(|recorder| recorder.json("/truth/events", stamp_ns, event));
     }
 }
 
-/// Stores the sources of the run in the recording: the chart's text, and the whole world with its defaults, as a file
-/// that `--world` reads.
+/// Stores the sources of the run in the recording: the chart's text, the whole world with its defaults, as a file
+/// that `--world` reads, and what a page needs to show the run.
 ///
 /// # Errors
 /// When the recording cannot be written.
@@ -151,12 +173,15 @@ pub(crate) fn attach_sources(
     recorder: &mut Recorder,
     chart: &Path,
     world: &World,
+    header: &RunHeader,
 ) -> Result<(), RecorderError> {
     // The chart was read a moment ago; if it has been deleted since, the run continues.
     if let Ok(text) = std::fs::read(chart) {
         recorder.attach("chart.yaml", "application/yaml", &text)?;
     }
-    recorder.attach("world.json", "application/json", world_text(world).as_bytes())
+    recorder.attach("world.json", "application/json", world_text(world).as_bytes())?;
+    let header = serde_json::to_vec(header).unwrap_or_default();
+    recorder.attach("run.json", "application/json", &header)
 }
 
 /// A world as the text of a world file.
@@ -187,6 +212,7 @@ pub(crate) fn record_robot(
 ) -> JoinHandle<()> {
     let names = joint_names(robot.model());
     let mut sensed = robot.sensed();
+    let mut links = Links { kinematics: Kinematics::new(robot.model()), next_ns: 0 };
     tokio::spawn(async move {
         while sensed.changed().await.is_ok() {
             let sample = Arc::clone(&sensed.borrow_and_update());
@@ -199,6 +225,7 @@ pub(crate) fn record_robot(
             });
             recorder.write(|recorder| {
                 recorder.joints(sample.stamp_ns, &names, &sample.position, &sample.velocity);
+                links.record(sample.stamp_ns, &sample.position, recorder);
                 match &wrench {
                     Some(wrench) => recorder.wrench(sample.stamp_ns, wrench),
                     None => Ok(()),
@@ -206,6 +233,29 @@ pub(crate) fn record_robot(
             });
         }
     })
+}
+
+/// Where the links are that can be seen.
+struct Links {
+    kinematics: Kinematics,
+    /// When they are due again, ns.
+    next_ns: u64,
+}
+
+impl Links {
+    fn record(&mut self, stamp_ns: u64, position: &[f64], recorder: &mut Recorder) {
+        if stamp_ns < self.next_ns {
+            return;
+        }
+        self.next_ns = stamp_ns + TRANSFORMS_NS;
+        self.kinematics.update(position);
+        let model = self.kinematics.model();
+        for link in model.links().iter().filter(|link| !link.visuals.is_empty()) {
+            if let Some(id) = model.link(&link.name) {
+                recorder.transform(&link.name, stamp_ns, self.kinematics.pose(id));
+            }
+        }
+    }
 }
 
 /// The names of the joints in the model's order.

@@ -34,6 +34,8 @@ pub(crate) struct Case<'r> {
     pub(crate) memory_log: &'r [LoggedChange],
     /// The world's other robots that ran charts.
     pub(crate) robots: &'r [OtherRobotEnded],
+    /// What somebody did to the run through its page.
+    pub(crate) acted: Vec<String>,
 }
 
 /// The figures of the run, by the names that all reports use.
@@ -48,6 +50,7 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
         "outputs": values(&case.result.outputs),
         "log": case.log.written,
         "dropped": case.log.dropped,
+        "acted": case.acted,
         "outcome": case.result.outcome,
         "reason": case.result.reason,
         "chain": case.result.chain,
@@ -138,6 +141,7 @@ fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> 
             .into_iter()
             .filter(|(_, values)| !values.is_empty())
             .map(|(title, values)| (title.to_owned(), listed(values)))
+            .chain((!case.acted.is_empty()).then(|| ("acted on".to_owned(), case.acted.join("; "))))
             .chain(case.profile.map(|profile| ("profile".to_owned(), profile.to_owned())))
             .chain([
                 ("simulated".into(), minutes(case.simulated_s)),

@@ -9,11 +9,12 @@ use std::time::Instant;
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Registry;
-use armarium_runtime::exec::{Executor, RunResult};
+use armarium_runtime::exec::{Controller, Executor, RunResult};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::report::Figure;
+use armarium_viewer::live::{LivePage, RunHeader};
 use armarium_viewer::progress::ProgressLine;
 use armarium_viewer::recorder::Recorder;
 use armarium_visionx::{ImageSource, Workers};
@@ -26,6 +27,7 @@ use crate::console::Console;
 use crate::driven::{self, Outside, RobotAt};
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
+use crate::live::{self, Live};
 use crate::network::Network;
 use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
 use crate::other_robots::{InProcess, OtherRobotEnded, OtherRobots};
@@ -53,6 +55,8 @@ pub struct RunEnded {
     pub reported: bool,
     /// The folder with the report.
     pub folder: PathBuf,
+    /// The live page, which is served as long as this lives.
+    pub page: Option<Arc<LivePage>>,
 }
 
 /// Checks the chart, runs it in the simulator, and writes recording and report. Ctrl-C ends the run, also with a
@@ -135,8 +139,14 @@ async fn perform(
         OtherRobots::prepare(config, file, (&mover.robots(), workers), (network, &among), &logger, console)
             .await?;
     let peers = (among.peers(&world.world.robot.name), robots.is_empty() && !network.listens());
+    let subtitle = format!("world `{}`, seed {}", world.world.name, config.seed);
+    let simulation = mover.simulation();
+    let header =
+        live::header(config, subtitle, &registry, equipment, simulation, &live::body_names(&world.world));
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
-    stage.open_recording(config, &chart, &world.world)?;
+    stage.open_recording(config, &chart, &world.world, &header)?;
+    let virtual_time = workers == Workers::Joined;
+    let page = stage.open_page(config, executor.controller(), virtual_time, console)?;
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut tasks = stage.side_tasks(&executor, &logger, &joints, console, began);
@@ -173,11 +183,20 @@ async fn perform(
         console.note(&format!("warning: what was learned was not kept: {error}"));
     }
     let recorded = stage.recorder.finish();
+    if let Some(live) = &stage.live {
+        live.end(serde_json::json!({
+            "outcome": result.outcome,
+            "reason": result.reason,
+            "chain": result.chain,
+        }));
+    }
+    let acted = page.map_or_else(Vec::new, |acted| acted.lock().clone());
     stage.report(
         config,
         &chart,
         &world.world,
         (result, began, recorded),
+        acted,
         (&logger.log, &joints, &others, &robots),
         console,
     )
@@ -198,6 +217,13 @@ impl Mover {
         }
     }
 
+    fn simulation(&self) -> Option<&Simulation> {
+        match self {
+            Self::Simulation(simulation) => Some(simulation),
+            Self::Outside(_) => None,
+        }
+    }
+
     /// Until `handle` ends it, or the robot is lost.
     async fn run(self, handle: Handle, console: Arc<dyn Console>) {
         match self {
@@ -214,6 +240,7 @@ struct Stage {
     frames: Arc<FrameSampler>,
     recorder: SharedRecorder,
     digest: RunDigest,
+    live: Option<Live>,
 }
 
 impl Stage {
@@ -226,8 +253,14 @@ impl Stage {
     ) -> Result<(Self, Mover), HostError> {
         let recorder = SharedRecorder::default();
         let digest = RunDigest::default();
-        let sinks: Vec<Box<dyn TruthSink>> =
-            vec![Box::new(digest.clone()), Box::new(TruthTopics(recorder.clone()))];
+        let live = Live::prepare(config);
+        let mut sinks: Vec<Box<dyn TruthSink>> = vec![
+            Box::new(digest.clone()),
+            Box::new(TruthTopics::new(recorder.clone(), live::body_names(world))),
+        ];
+        if let Some(live) = &live {
+            sinks.push(Box::new(live.gate.clone()));
+        }
         let (scenery, cameras) = match (&config.cameras, &network.connection) {
             (Some(name), Some(connection)) => {
                 let (scenery, cameras) = cameras::connect(name, connection).await?;
@@ -257,7 +290,7 @@ impl Stage {
         let cameras = Arc::clone(&robot.equipment.images);
         let frames = Arc::new(FrameSampler::of(cameras, world, recorder.clone()));
         robot.equipment.images = Arc::clone(&frames) as Arc<dyn ImageSource>;
-        Ok((Self { memory, robot, frames, recorder, digest }, mover))
+        Ok((Self { memory, robot, frames, recorder, digest, live }, mover))
     }
 
     /// Starts and connects the world's other agents, on the connection's threads.
@@ -303,19 +336,44 @@ impl Stage {
             console: Arc::clone(console),
             marks: run_log::marks(registry),
             robot: None,
+            gate: self.live.as_ref().map(|live| live.gate.clone()),
         }
     }
 
-    fn open_recording(&self, config: &RunConfig, chart: &str, world: &World) -> Result<(), HostError> {
+    fn open_recording(
+        &self,
+        config: &RunConfig,
+        chart: &str,
+        world: &World,
+        header: &RunHeader,
+    ) -> Result<(), HostError> {
         let metadata = BTreeMap::from([
             ("chart".to_owned(), chart.to_owned()),
             ("world".to_owned(), world.name.clone()),
             ("seed".to_owned(), config.seed.to_string()),
         ]);
         let mut opened = Recorder::create(&config.report.join("run.mcap"), metadata)?;
-        attach_sources(&mut opened, &config.chart, world)?;
+        attach_sources(&mut opened, &config.chart, world, header)?;
+        if let Some(live) = &self.live {
+            live.timeline.begin(header);
+            opened.tell(Arc::new(live.timeline.clone()));
+        }
         self.recorder.begin(opened);
         Ok(())
+    }
+
+    /// Opens the live page, if there is to be one. Gives what is done through it.
+    fn open_page(
+        &mut self,
+        config: &RunConfig,
+        controller: Controller,
+        virtual_time: bool,
+        console: &Arc<dyn Console>,
+    ) -> Result<Option<Arc<Mutex<Vec<String>>>>, HostError> {
+        let (Some(live), Some(options)) = (&mut self.live, &config.live) else { return Ok(None) };
+        let (recorder, clock) = (&self.recorder, &self.robot.handle);
+        let known = (&self.robot.referee, self.memory.memory());
+        live.open(options, (controller, virtual_time), (recorder, clock), known, &**console).map(Some)
     }
 
     /// The tasks beside the chart.
@@ -352,6 +410,7 @@ impl Stage {
         chart: &str,
         world: &World,
         (result, began, recorded): (RunResult, Instant, bool),
+        acted: Vec<String>,
         (log, joints, others, robots): (
             &Mutex<RunLog>,
             &Mutex<JointLog>,
@@ -386,6 +445,7 @@ impl Stage {
             joints: joints.lock().plots(self.robot.equipment.robot.model()),
             memory_log: &others.memory_log,
             robots,
+            acted,
         };
         let (report, figures, written) = report::write(&config.report, case);
         if let Err(error) = &written {
@@ -393,6 +453,7 @@ impl Stage {
             console.note(&format!("warning: the report cannot be written to {folder}: {error}"));
         }
         let (reported, folder) = (written.is_ok(), config.report.clone());
-        Ok(RunEnded { result, report, figures, recorded, reported, folder })
+        let page = self.live.as_ref().and_then(|live| live.page.clone());
+        Ok(RunEnded { result, report, figures, recorded, reported, folder, page })
     }
 }

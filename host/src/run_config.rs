@@ -9,6 +9,7 @@ use armarium_simulator::World;
 
 use crate::catalog::SkillFactory;
 use crate::driven::RobotAt;
+use crate::live::LiveOptions;
 
 /// The configuration of a run.
 #[derive(Clone)]
@@ -57,6 +58,8 @@ pub struct RunConfig {
     pub longest: Option<Duration>,
     /// The most bytes that the recording may have.
     pub largest_recording: Option<u64>,
+    /// The page that shows the run while it goes on.
+    pub live: Option<LiveOptions>,
 }
 
 impl RunConfig {
@@ -84,6 +87,7 @@ impl RunConfig {
             skills: Vec::new(),
             longest: None,
             largest_recording: None,
+            live: None,
         }
     }
 

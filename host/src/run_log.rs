@@ -15,6 +15,7 @@ use armarium_viewer::recorder::LogLevel;
 use parking_lot::Mutex;
 
 use crate::console::Console;
+use crate::live::Gate;
 use crate::recording::{RunDigest, SharedRecorder};
 
 /// Lines of the log in the report.
@@ -68,6 +69,8 @@ pub(crate) struct RunLogger {
     pub(crate) marks: Arc<BTreeMap<String, Vec<Mark>>>,
     /// The robot whose chart it is; `None` for the first.
     pub(crate) robot: Option<String>,
+    /// Holds up the run where a page wants it.
+    pub(crate) gate: Option<Gate>,
 }
 
 /// The marks that skills declare.
@@ -92,6 +95,10 @@ impl TraceSink for RunLogger {
         let mut log = self.log.lock();
         log.status.update(event);
         self.follow(&mut log, t_ns, &event.item);
+        drop(log);
+        if let Some(gate) = &self.gate {
+            gate.happened(event);
+        }
     }
 }
 
@@ -99,7 +106,7 @@ impl RunLogger {
     /// The same for the chart of another robot, in a log of its own. The referee judges only the first robot.
     pub(crate) fn of_other(&self, robot: &str, log: &Arc<Mutex<RunLog>>) -> Self {
         let (log, robot) = (Arc::clone(log), Some(robot.to_owned()));
-        Self { log, robot, marks: Arc::default(), ..self.clone() }
+        Self { log, robot, marks: Arc::default(), gate: None, ..self.clone() }
     }
 
     /// The name of a state, with the robot's where it is not the first.

@@ -22,6 +22,7 @@ use crate::error::SimulationError;
 use crate::person::Person;
 use crate::physics::{External, Plant};
 use crate::referee::Referee;
+use crate::render::Shape;
 use crate::sensing::Sensors;
 use crate::start;
 use crate::table::DirtGrid;
@@ -258,6 +259,12 @@ impl Simulation {
     /// The referee of this run.
     pub fn referee(&self) -> Referee {
         self.referee.clone()
+    }
+
+    /// The shapes of what is not a robot or a person, for viewers: what stands still, each at its place, and the parts of each
+    /// body of [`TruthSample::objects`], in the body's frame.
+    pub fn shapes(&self) -> (Vec<Shape>, Vec<Vec<Shape>>) {
+        self.drawing.parts()
     }
 
     /// A handle to stop the simulation and to read its time.

@@ -4,6 +4,7 @@
 //!   programs.
 //! - [`chart`]: a statechart as a picture, for papers and for other tools.
 //! - [`report`]: `report.html`, one file with all pictures embedded, and the judgement of a report's figures.
+//! - [`live`]: a page that shows a run while it goes on, or from its recording.
 //! - [`image_page`]: a page that shows the images of a provider live.
 //! - [`progress`]: one line with the current state of a run.
 //!
@@ -12,6 +13,7 @@
 
 pub mod chart;
 pub mod image_page;
+pub mod live;
 mod markup;
 pub mod progress;
 pub mod recorder;

@@ -3,12 +3,12 @@
 
 use armarium_source::Span;
 use armarium_source::yaml::{Node, Yaml};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::model::{self, ActionKind, Chart, WrittenAction, WrittenKind, WrittenState};
 
 /// A chart's states and transitions; state 0 is the chart itself.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outline {
     /// States in the order of the file, parents before children.
     pub states: Vec<OutlineState>,
@@ -17,7 +17,7 @@ pub struct Outline {
 }
 
 /// What a state is.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum OutlineKind {
@@ -43,7 +43,7 @@ pub enum OutlineKind {
 }
 
 /// A state.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutlineState {
     /// Its own name.
     pub name: String,
@@ -66,7 +66,7 @@ pub struct OutlineState {
 }
 
 /// A transition.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutlineTransition {
     /// Where it is written.
     pub source: usize,

@@ -82,6 +82,17 @@ impl Drawing {
         }
     }
 
+    /// What stands still, each shape at its place; and the parts of each body, in the body's frame.
+    pub(crate) fn parts(&self) -> (Vec<Shape>, Vec<Vec<Shape>>) {
+        let table = Shape {
+            geometry: VisibleForm::Box { half: self.table_half },
+            scene_from_shape: self.table_pose,
+            color: self.table_color,
+        };
+        let bodies = self.objects.iter().map(|parts| link_shapes(parts, &Isometry3::identity()));
+        (self.fixed.iter().cloned().chain([table]).collect(), bodies.collect())
+    }
+
     /// Number of its bodies.
     pub(super) fn bodies(&self) -> usize {
         self.objects.len()

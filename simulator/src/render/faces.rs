@@ -104,7 +104,12 @@ impl Face<4> {
 impl Face<3> {
     /// A triangle, seen from either side; `None` when the camera is in its plane.
     fn of_triangle(corners: [Point3<f64>; 3]) -> Option<Self> {
-        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(1e-15)?;
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let length = (normal.x * normal.x + normal.y * normal.y + normal.z * normal.z).sqrt();
+        if length <= 1e-15 {
+            return None;
+        }
+        let normal = normal / length;
         let distance = normal.dot(&corners[0].coords);
         let (normal, distance) = if distance > 0.0 { (-normal, -distance) } else { (normal, distance) };
         (distance < -EDGE_ON).then(|| Self { corners, nearness: normal / distance, normal })

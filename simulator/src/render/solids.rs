@@ -2,11 +2,15 @@
 
 use nalgebra::{Isometry3, Vector3};
 
+use super::faces::Face;
 use super::raster::{Bounds, Canvas, ScanLine, Span};
 use super::shading::{Light, Shades, brightness};
 
 /// A ray does not meet a cylinder's side if its direction across the axis is shorter than this (squared).
 const PARALLEL: f32 = 1e-12;
+
+/// The square around a cylinder's end by the end, so that rounding cuts nothing off.
+const WIDER: f64 = 1.001;
 
 /// How far a capsule's ends reach under its side, in radii, so that there is no visible gap.
 const OVERLAP: f32 = 0.01;
@@ -205,14 +209,19 @@ fn cap(canvas: &mut Canvas, body: &Axial, sign: f64, light: Light, shades: &Shad
     if height <= 0.0 {
         return;
     }
-    let Some(bounds) = canvas.ball(&body.end(sign), body.radius) else { return };
+    // The square around it, a little larger: of one that is seen from the side, few pixels are left.
+    let half = Vector3::new(WIDER * body.radius, WIDER * body.radius, body.half_length);
+    let Some(square) = Face::of_box(&body.camera_from_shape, &half, (2, sign), 1.0) else { return };
+    let Some(bounds) = square.bounds(canvas) else { return };
+    let edges = square.edges();
     let [ax, ay, az] = body.axes();
     let color = shades.at(light.on(&(az * sign)));
     let nearness = az * (-sign / height);
     let squared_radius = (body.radius * body.radius) as f32;
     let (eye_x, eye_y) = (eye.x as f32, eye.y as f32);
     for row in canvas.rows(bounds) {
-        let Some(run) = bounds.columns().pixels() else { continue };
+        let span = edges.iter().fold(bounds.columns(), |span, edge| span.keep(row.form(edge)));
+        let Some(run) = span.pixels() else { continue };
         let [near, dx, dy] = [nearness, ax, ay].map(|n| row.form(&n).line(run.0));
         canvas.fill(
             row.v,

@@ -84,12 +84,18 @@ pub fn levels(outline: &Outline) -> usize {
     (0..outline.states.len()).map(|state| outward(state).count() - 1).max().unwrap_or(0)
 }
 
-/// The chart with `depth` levels of states; a state whose content is not shown says how many states it has.
-/// Transitions of states that are not shown start or end at the state around them that is.
+/// The chart with `depth` levels of states; as [`close`].
 pub fn fold(outline: &Outline, depth: usize) -> Outline {
     let outward = |state: usize| std::iter::successors(Some(state), |s| outline.states[*s].parent);
-    let level = |state: usize| outward(state).count() - 1;
-    let shown: Vec<usize> = (0..outline.states.len()).filter(|s| level(*s) <= depth).collect();
+    close(outline, &|state| outward(state).count() - 1 == depth)
+}
+
+/// The chart without the content of some states, which say how many states they have.
+/// Transitions of states that are not shown start or end at the state around them that is.
+pub fn close(outline: &Outline, is_closed: &dyn Fn(usize) -> bool) -> Outline {
+    let outward = |state: usize| std::iter::successors(Some(state), |s| outline.states[*s].parent);
+    let shown: Vec<usize> =
+        (0..outline.states.len()).filter(|s| !outward(*s).skip(1).any(is_closed)).collect();
     let place = |state: usize| outward(state).find_map(|s| shown.binary_search(&s).ok());
     let places = |states: &[usize]| {
         let mut list: Vec<usize> = Vec::new();
@@ -104,7 +110,7 @@ pub fn fold(outline: &Outline, depth: usize) -> Outline {
     (0..outline.states.len()).filter_map(place).for_each(|at| counts[at] += 1);
     let states = shown.iter().zip(&counts).map(|(s, count)| {
         let mut state = outline.states[*s].clone();
-        if level(*s) == depth && !state.children.is_empty() {
+        if is_closed(*s) && !state.children.is_empty() {
             state.activities.insert(0, format!("{} states inside", count - 1));
             (state.children, state.initial) = (Vec::new(), Vec::new());
         }

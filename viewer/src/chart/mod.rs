@@ -4,7 +4,7 @@
 //! two sibling boxes that contain its source and its target, with the inner names in its label. Transitions to a final
 //! state that many states go to are written into the states that they leave, with the target's name in its colour.
 //! Other transitions (without a target, to the state itself, to an ancestor or descendant, or across regions) are text
-//! in the state. So no line crosses a box and no label touches another. [`fold`] and [`unfold`] choose how much is shown.
+//! in the state. So no line crosses a box and no label touches another. [`fold`], [`close`] and [`unfold`] choose how much is shown.
 //! This module reads and writes no files.
 
 mod detail;
@@ -23,7 +23,7 @@ mod tests;
 
 use armarium_runtime::chart::Outline;
 
-pub use detail::{Unfold, fold, levels, unfold};
+pub use detail::{Unfold, close, fold, levels, unfold};
 
 /// Width and height of a screen, px.
 const SCREEN: (f64, f64) = (1920.0, 1080.0);

@@ -139,6 +139,46 @@ struct ImageTopic {
     next_ns: u64,
 }
 
+/// A message of a run, as a recording has it. Topics with images, poses and joints have these only; all others have JSON.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub enum RunMessage<'m> {
+    /// A pose in the root frame, m; the topic's last part names the thing.
+    Pose {
+        /// The topic.
+        topic: &'m str,
+        /// The pose.
+        pose: &'m Isometry3<f64>,
+    },
+    /// The joints, rad or m.
+    Joints {
+        /// Their names.
+        names: &'m [String],
+        /// Their positions, in that order.
+        position: &'m [f64],
+    },
+    /// A message in JSON.
+    Json {
+        /// The topic.
+        topic: &'m str,
+        /// Its text.
+        text: &'m str,
+    },
+    /// An image.
+    Image {
+        /// The topic.
+        topic: &'m str,
+        /// JPEG.
+        jpeg: &'m [u8],
+    },
+}
+
+/// Takes the messages of a run while it is recorded, or from its recording.
+pub trait MessageSink: Send + Sync {
+    /// Takes a message with its time, ns. It must return at once.
+    fn take(&self, stamp_ns: u64, message: &RunMessage<'_>);
+}
+
 /// A recording that is being written. Dropping it completes the file; [`Recorder::finish`] also returns errors.
 pub struct Recorder {
     options: RecorderOptions,
@@ -157,6 +197,8 @@ pub struct Recorder {
     next_flush_ns: u64,
     /// Why nothing more can be written.
     broken: Option<RecorderError>,
+    /// Who else is told.
+    beside: Option<Arc<dyn MessageSink>>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -224,12 +266,25 @@ impl Recorder {
             joint_states: fg::JointStates::default(),
             buffer: Vec::with_capacity(1024),
             broken: None,
+            beside: None,
         })
+    }
+
+    /// Tells each message to `sink`, too, as long as this writes.
+    pub fn tell(&mut self, sink: Arc<dyn MessageSink>) {
+        self.beside = Some(sink);
+    }
+
+    fn beside(&self, t_ns: u64, message: &RunMessage<'_>) {
+        if let Some(sink) = &self.beside {
+            sink.take(t_ns, message);
+        }
     }
 
     /// Records the pose `root_from_thing`, m. The topic's last part names the object.
     pub fn pose(&mut self, topic: &str, t_ns: u64, root_from_thing: &Isometry3<f64>) {
         self.tick(t_ns);
+        self.beside(t_ns, &RunMessage::Pose { topic, pose: root_from_thing });
         let pose = messages::pose(&grid::pose(root_from_thing));
         let message = fg::PoseInFrame {
             timestamp: messages::stamp(t_ns),
@@ -256,6 +311,20 @@ impl Recorder {
         }
     }
 
+    /// Records where a frame is in the root frame, m, on `/tf` only.
+    pub fn transform(&mut self, frame: &str, t_ns: u64, root_from_frame: &Isometry3<f64>) {
+        self.tick(t_ns);
+        self.beside(t_ns, &RunMessage::Pose { topic: frame, pose: root_from_frame });
+        let pose = messages::pose(&grid::pose(root_from_frame));
+        let transform = fg::FrameTransform {
+            timestamp: messages::stamp(t_ns),
+            translation: pose.position,
+            rotation: pose.orientation,
+            ..messages::transform(frame)
+        };
+        self.transforms.log_with_time(&transform, t_ns);
+    }
+
     /// Records the true contact of the object in the hand with the table on `/truth/contact`.
     ///
     /// # Errors
@@ -268,6 +337,7 @@ impl Recorder {
     /// have the same order; a missing value is not recorded.
     pub fn joints(&mut self, t_ns: u64, names: &[String], position: &[f64], velocity: &[f64]) {
         self.tick(t_ns);
+        self.beside(t_ns, &RunMessage::Joints { names, position });
         let joints = &mut self.joint_states.joints;
         if joints.len() != names.len() || joints.iter().zip(names).any(|(joint, name)| joint.name != *name) {
             *joints = names
@@ -308,6 +378,9 @@ impl Recorder {
         let encode = |what: String| RecorderError::Encode { topic: topic.to_owned(), what };
         self.buffer.clear();
         serde_json::to_writer(&mut self.buffer, message).map_err(|e| encode(e.to_string()))?;
+        if let (Some(sink), Ok(text)) = (&self.beside, std::str::from_utf8(&self.buffer)) {
+            sink.take(t_ns, &RunMessage::Json { topic, text });
+        }
         if let Some(channel) = self.json.get(topic) {
             channel.log_with_meta(&self.buffer, foxglove::PartialMetadata::with_log_time(t_ns));
             return Ok(());
@@ -345,6 +418,7 @@ impl Recorder {
         }
         let data = jpeg(image, self.options.jpeg_quality)
             .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
+        self.beside(t_ns, &RunMessage::Image { topic, jpeg: &data });
         let next_ns = t_ns.saturating_add(self.options.image_period_ns);
         let new = || ImageTopic { channel: self.context.channel_builder(topic).build(), next_ns };
         let entry = self.images.entry(topic.to_owned()).or_insert_with(new);

@@ -16,3 +16,5 @@ mod timeplot;
 pub use curves::{Curve, Look, Panel, PanelRow, picture};
 pub use data::{ChainLink, ReportData};
 pub use page::render;
+pub(crate) use page::{fragment, scoped_style};
+pub(crate) use series::thinned;

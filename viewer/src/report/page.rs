@@ -26,14 +26,24 @@ pub fn render(data: &ReportData) -> String {
     );
     page.push_str(&header(title, data));
     page.push_str(&failure(data));
-    let time = time(data);
-    data.sections.iter().for_each(|shown| page.push_str(&section(shown, time)));
+    page.push_str(&fragment(&data.sections));
     page.push_str("</main>\n</body>\n</html>\n");
     page
 }
 
+/// The report's styles for what is inside elements of the class `report` only.
+pub(crate) fn scoped_style() -> String {
+    format!("@scope (.report) {{\n{}}}\n", STYLE.replace(":root", ":scope"))
+}
+
+/// Sections as a part of a page that has styles of its own; see [`scoped_style`].
+pub(crate) fn fragment(sections: &[Section]) -> String {
+    let time = time(sections);
+    sections.iter().map(|shown| section(shown, time)).collect()
+}
+
 /// The time axis of all plots: from 0 to the last time in any of them, s.
-fn time(data: &ReportData) -> [f64; 2] {
+fn time(sections: &[Section]) -> [f64; 2] {
     let last = |plot: &TimePlot| plot.series.iter().filter_map(|s| s.t_s.last().copied()).fold(0.0, later);
     let end = |block: &Block| match block {
         Block::Plot(plot) => last(plot),
@@ -41,7 +51,7 @@ fn time(data: &ReportData) -> [f64; 2] {
         Block::Gantt(spans) => spans.iter().flat_map(|s| [Some(s.from_s), s.to_s]).flatten().fold(0.0, later),
         _ => 0.0,
     };
-    let end = data.sections.iter().flat_map(|section| &section.blocks).map(end).fold(0.0, later);
+    let end = sections.iter().flat_map(|section| &section.blocks).map(end).fold(0.0, later);
     [0.0, if end > 0.0 { end } else { 1.0 }]
 }
 

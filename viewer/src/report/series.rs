@@ -7,7 +7,7 @@
 ///
 /// # Source
 /// Jugel et al. 2014, "M4: A Visualization-Oriented Time Series Data Aggregation", section 4.
-pub(super) fn pieces(t: &[f64], y: &[f64], range: [f64; 2], buckets: usize) -> Vec<Vec<[f64; 2]>> {
+pub(crate) fn thinned(t: &[f64], y: &[f64], range: [f64; 2], buckets: usize) -> Vec<Vec<[f64; 2]>> {
     let mut pieces = Vec::new();
     let mut piece: Vec<[f64; 2]> = Vec::new();
     for (&t, &y) in t.iter().zip(y) {
@@ -55,7 +55,7 @@ mod tests {
         let t: Vec<f64> = (0..100_000).map(|i| f64::from(i) * 1e-3).collect();
         let mut y = vec![1.0; t.len()];
         y[54_321] = 9.0;
-        let pieces = pieces(&t, &y, [0.0, 100.0], 500);
+        let pieces = thinned(&t, &y, [0.0, 100.0], 500);
         assert_eq!(pieces.len(), 1);
         assert!(pieces[0].len() <= 2000);
         assert!(pieces[0].contains(&[t[54_321], 9.0]));
@@ -65,13 +65,13 @@ mod tests {
 
     #[test]
     fn nan_interrupts_the_line() {
-        let pieces = pieces(&[0.0, 1.0, 2.0, 3.0], &[1.0, f64::NAN, 2.0, 3.0], [0.0, 3.0], 10);
+        let pieces = thinned(&[0.0, 1.0, 2.0, 3.0], &[1.0, f64::NAN, 2.0, 3.0], [0.0, 3.0], 10);
         assert_eq!(pieces, [vec![[0.0, 1.0]], vec![[2.0, 2.0], [3.0, 3.0]]]);
     }
 
     #[test]
     fn an_empty_range_draws_nothing_wrong() {
-        assert!(pieces(&[], &[], [0.0, 0.0], 10).is_empty());
-        assert_eq!(pieces(&[1.0], &[2.0], [1.0, 1.0], 0).len(), 1);
+        assert!(thinned(&[], &[], [0.0, 0.0], 10).is_empty());
+        assert_eq!(thinned(&[1.0], &[2.0], [1.0, 1.0], 0).len(), 1);
     }
 }

@@ -3,7 +3,7 @@
 use armarium_values::report::TimePlot;
 
 use super::axes::{Axes, Key, legend, legend_height, range_of};
-use super::series::pieces;
+use super::series::thinned;
 use super::svg::{Anchor, Svg, fit, text_width};
 
 /// The size of a plot.
@@ -90,7 +90,7 @@ fn content(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
         svg.line([axes.left, y], [axes.right(), y], "limit");
     }
     for (i, series) in plot.series.iter().enumerate() {
-        for piece in pieces(&series.t_s, &series.y, axes.x, (axes.width * 0.9) as usize) {
+        for piece in thinned(&series.t_s, &series.y, axes.x, (axes.width * 0.9) as usize) {
             svg.polyline(piece.into_iter().map(|[t, y]| axes.point(t, y)), &class_of(i));
         }
     }

@@ -1,0 +1,314 @@
+//! The live page of a run: what it is shown, and what it may do. The page itself is in the viewer; it is told what the recorder is told.
+//!
+//! Somebody who acts through the page makes time stand still by holding up the run's only thread between two of its steps. So a pause
+//! changes nothing of a run in virtual time; in real time there is none.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use armarium_memoryx::{Memory as _, Pattern, Query, WorkingMemory};
+use armarium_runtime::chart::{self, Outline, Registry};
+use armarium_runtime::exec::Controller;
+use armarium_runtime::trace::{TraceEvent, TraceItem};
+use armarium_simulator::render::{Shape, VisibleForm};
+use armarium_simulator::{Referee, Simulation, TruthSample, TruthSink, World};
+use armarium_states::Equipment;
+use armarium_values::Value;
+use armarium_viewer::chart::{Unfold, unfold};
+use armarium_viewer::live::{
+    Action, ActionRefused, Control, LiveConfig, LivePage, RunHeader, Solid, SolidForm, Timeline, solids_of,
+};
+use futures::FutureExt as _;
+use parking_lot::{Condvar, Mutex};
+use tokio::sync::broadcast::error::RecvError;
+
+use crate::console::Console;
+use crate::error::HostError;
+use crate::recording::SharedRecorder;
+use crate::run_config::RunConfig;
+
+/// Topic of what somebody did through the page.
+const ACTIONS: &str = "/live/actions";
+/// The frame of the coach's hand or tool, as the recording names it.
+const COACH: &str = "coach";
+/// How large the coach's hand is shown, m, and its colour.
+const HAND: (f32, [u8; 3]) = (0.045, [224, 172, 138]);
+
+/// The page of a run.
+#[derive(Clone, Debug, Default)]
+pub struct LiveOptions {
+    /// The port; 0 is any that is free.
+    pub port: u16,
+    /// Whether the page may act.
+    pub control: bool,
+}
+
+/// The page while the run goes on.
+pub(crate) struct Live {
+    pub(crate) timeline: Timeline,
+    pub(crate) gate: Gate,
+    pub(crate) page: Option<Arc<LivePage>>,
+}
+
+/// Holds up a run's thread while somebody wants time to stand still; clones are the same gate.
+#[derive(Clone, Default)]
+pub(crate) struct Gate(Arc<(Mutex<GateState>, Condvar)>);
+
+#[derive(Default)]
+struct GateState {
+    closed: bool,
+    /// It closes at the next transition.
+    steps: bool,
+    /// It closes when one of these states is entered.
+    stops: BTreeSet<String>,
+    /// The end of the run opens it for good.
+    ended: bool,
+}
+
+impl Gate {
+    fn change(&self, change: impl FnOnce(&mut GateState)) {
+        let (state, changed) = &*self.0;
+        change(&mut state.lock());
+        changed.notify_all();
+    }
+
+    /// Waits while it is closed.
+    pub(crate) fn pass(&self) {
+        let (state, changed) = &*self.0;
+        let mut state = state.lock();
+        while state.closed && !state.ended {
+            changed.wait(&mut state);
+        }
+    }
+
+    /// Something happened; it may close the gate.
+    pub(crate) fn happened(&self, event: &TraceEvent) {
+        let closes = |state: &GateState| match &event.item {
+            TraceItem::Transition { .. } => state.steps,
+            TraceItem::Entered { state: entered } => state.stops.contains(entered),
+            _ => false,
+        };
+        self.change(|state| {
+            if closes(state) {
+                (state.closed, state.steps) = (true, false);
+            }
+        });
+        self.pass();
+    }
+
+    fn is_closed(&self) -> bool {
+        self.0.0.lock().closed
+    }
+}
+
+impl TruthSink for Gate {
+    fn sample(&mut self, _: &TruthSample) {
+        self.pass();
+    }
+}
+
+/// What somebody may do through the page.
+struct Acting {
+    gate: Gate,
+    controller: Controller,
+    /// Whether time may stand still.
+    virtual_time: bool,
+    recorder: SharedRecorder,
+    clock: armarium_simulator::Handle,
+    acted: Arc<Mutex<Vec<String>>>,
+}
+
+impl Acting {
+    /// Every action stands in the recording and in the report.
+    fn note(&self, what: String) {
+        let now_ns = self.clock.now_ns();
+        let line = format!("{:.2} s {what}", now_ns as f64 * 1e-9);
+        let message = serde_json::json!({"what": what});
+        self.recorder.write(|recorder| recorder.json(ACTIONS, now_ns, &message));
+        self.acted.lock().push(line);
+    }
+}
+
+impl Control for Acting {
+    fn act(&self, action: Action) -> Result<(), ActionRefused> {
+        let refused = |reason: &str| Err(ActionRefused { reason: reason.to_owned() });
+        let stands_still = matches!(action, Action::Pause | Action::Step | Action::Breakpoints { .. });
+        if stands_still && !self.virtual_time {
+            return refused("this run is in real time, which cannot stand still; the robot can be stopped");
+        }
+        match action {
+            Action::Pause => {
+                self.gate.change(|state| state.closed = true);
+                self.note("pause".into());
+            }
+            Action::GoOn => {
+                self.gate.change(|state| state.closed = false);
+                self.note("go on".into());
+            }
+            Action::Step => {
+                self.gate.change(|state| (state.closed, state.steps) = (false, true));
+                self.note("step".into());
+            }
+            Action::Breakpoints { states } => {
+                self.note(format!("breakpoints: {}", states.join(", ")));
+                self.gate.change(|state| state.stops = states.into_iter().collect());
+            }
+            Action::Event { name, data } => {
+                let data = Value::from_json(&data);
+                if !self.controller.raise(name.clone(), data) {
+                    return refused("the queue of events is full, or the run has ended");
+                }
+                self.note(format!("event {name}"));
+            }
+            Action::Stop => {
+                self.controller.stop("stopped through the live page");
+                self.note("stop".into());
+                self.gate.change(|state| state.closed = false);
+            }
+            _ => return refused("this program does not know the action"),
+        }
+        Ok(())
+    }
+
+    fn is_paused(&self) -> bool {
+        self.gate.is_closed()
+    }
+}
+
+impl Live {
+    /// Nothing is shown yet. The gate goes into the simulation.
+    pub(crate) fn prepare(config: &RunConfig) -> Option<Self> {
+        config.live.as_ref()?;
+        Some(Self { timeline: Timeline::default(), gate: Gate::default(), page: None })
+    }
+
+    /// Opens the page, and says where it is. Returns what has been done through it, as it happens.
+    ///
+    /// # Errors
+    /// [`HostError::Live`] when the port cannot be listened on.
+    pub(crate) fn open(
+        &mut self,
+        options: &LiveOptions,
+        (controller, virtual_time): (Controller, bool),
+        (recorder, clock): (&SharedRecorder, &armarium_simulator::Handle),
+        (referee, memory): (&Referee, &Arc<WorkingMemory>),
+        console: &dyn Console,
+    ) -> Result<Arc<Mutex<Vec<String>>>, HostError> {
+        let acted = Arc::<Mutex<Vec<String>>>::default();
+        let acting = options.control.then(|| {
+            Arc::new(Acting {
+                gate: self.gate.clone(),
+                controller,
+                virtual_time,
+                recorder: recorder.clone(),
+                clock: clock.clone(),
+                acted: Arc::clone(&acted),
+            }) as Arc<dyn Control>
+        });
+        let referee = referee.clone();
+        let config = LiveConfig {
+            port: options.port,
+            timeline: self.timeline.clone(),
+            report: Some(Arc::new(move || referee.sections())),
+            control: acting,
+        };
+        let memory = tell_memory(Arc::clone(memory), self.timeline.clone());
+        let page = LivePage::open(config, Some(memory.boxed()))
+            .map_err(|source| HostError::Live { port: options.port, source })?;
+        console.page(&page.url());
+        self.page = Some(Arc::new(page));
+        Ok(acted)
+    }
+
+    /// The run has ended: nothing holds it up any more.
+    pub(crate) fn end(&self, ended: serde_json::Value) {
+        self.gate.change(|state| state.ended = true);
+        self.timeline.end(ended);
+    }
+}
+
+/// What does not change during a run, for its page and its recording.
+pub(crate) fn header(
+    config: &RunConfig,
+    subtitle: String,
+    registry: &Registry,
+    equipment: &Equipment,
+    simulation: Option<&Simulation>,
+    bodies: &[String],
+) -> RunHeader {
+    let library = chart::load(&config.chart, &config.charts);
+    let mut outline = Outline { states: Vec::new(), transitions: Vec::new() };
+    if let Some(root) = library.charts.get(&library.root) {
+        outline = Outline::of(root);
+        unfold(&mut outline, &library.charts, &Unfold::All);
+    }
+    let mut solids = solids_of(equipment.robot.model());
+    if let Some(simulation) = simulation {
+        let (fixed, moving) = simulation.shapes();
+        solids.extend(fixed.iter().filter_map(|shape| solid(None, shape)));
+        for (body, parts) in bodies.iter().zip(&moving) {
+            solids.extend(parts.iter().filter_map(|part| solid(Some(body), part)));
+        }
+        let hand = SolidForm::Sphere { size: [HAND.0] };
+        let coach = Solid::new(Some(COACH), hand, &nalgebra::Isometry3::identity(), HAND.1);
+        solids.push(Solid { passing: true, ..coach });
+    }
+    RunHeader::new((&library.root, subtitle), outline, registry.manifests(), solids)
+}
+
+/// The names of a world's bodies, by which frames are called that move with them.
+pub(crate) fn body_names(world: &World) -> Vec<String> {
+    world.named_bodies().map(|body| body.name).collect()
+}
+
+/// A shape as a viewer shows it; surfaces of triangles are left out.
+fn solid(frame: Option<&str>, shape: &Shape) -> Option<Solid> {
+    let edges = |half: &nalgebra::Vector3<f64>| [half.x, half.y, half.z].map(|half| 2.0 * half as f32);
+    let form = match &shape.geometry {
+        VisibleForm::Box { half } | VisibleForm::Tabletop { half, .. } => {
+            SolidForm::Box { size: edges(half) }
+        }
+        VisibleForm::Sphere { radius } => SolidForm::Sphere { size: [*radius as f32] },
+        VisibleForm::Cylinder { radius, half_length } => {
+            SolidForm::Cylinder { size: [*radius as f32, 2.0 * *half_length as f32] }
+        }
+        VisibleForm::Capsule { radius, half_length } => {
+            SolidForm::Capsule { size: [*radius as f32, 2.0 * *half_length as f32] }
+        }
+        VisibleForm::Mesh { .. } => return None,
+    };
+    Some(Solid::new(frame, form, &shape.scene_from_shape, shape.color))
+}
+
+/// Tells the page what memory knows, as it changes. It runs on the page's thread, so that the run is the same without it.
+async fn tell_memory(memory: Arc<WorkingMemory>, timeline: Timeline) {
+    loop {
+        let mut changes = memory.subscribe();
+        if let Ok(known) = memory.query(&Query::latest(Pattern::default())).await {
+            known
+                .iter()
+                .for_each(|snapshot| timeline.remember(&snapshot.id.to_string(), Some(&json_of(snapshot))));
+        }
+        loop {
+            match changes.recv().await {
+                Ok(snapshot) => {
+                    let known = snapshot.instance().is_some().then(|| json_of(&snapshot));
+                    timeline.remember(&snapshot.id.to_string(), known.as_ref());
+                }
+                // Too much at once: all is looked at again.
+                Err(RecvError::Lagged(_)) => break,
+                Err(RecvError::Closed) => return,
+            }
+        }
+    }
+}
+
+fn json_of(snapshot: &armarium_memoryx::Snapshot) -> serde_json::Value {
+    let instance = snapshot.instance();
+    serde_json::json!({
+        "version": snapshot.version,
+        "referenced_ns": snapshot.referenced_ns,
+        "confidence": instance.map(|instance| instance.confidence),
+        "attributes": instance.map(|instance| Value::Map(instance.attributes.to_map()).to_json()),
+    })
+}

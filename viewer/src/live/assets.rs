@@ -1,0 +1,19 @@
+//! The files of the page. They are part of the program: nothing is fetched from elsewhere.
+
+/// A file's path, media type and content.
+pub(super) type Asset = (&'static str, &'static str, &'static str);
+
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+/// All files.
+pub(super) const ASSETS: [Asset; 9] = [
+    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+    ("/app.js", SCRIPT, include_str!("page/app.js")),
+    ("/run.js", SCRIPT, include_str!("page/run.js")),
+    ("/chart.js", SCRIPT, include_str!("page/chart.js")),
+    ("/time.js", SCRIPT, include_str!("page/time.js")),
+    ("/world.js", SCRIPT, include_str!("page/world.js")),
+    ("/memory.js", SCRIPT, include_str!("page/memory.js")),
+    ("/report.js", SCRIPT, include_str!("page/report.js")),
+];

@@ -1,0 +1,446 @@
+//! What a page shows of a run: its events, the numbers, poses and images over time, what memory knows, and how it ended.
+//!
+//! A run that goes on writes it through the recorder ([`MessageSink`]); one that has ended is read from its recording. Memory is bounded:
+//! numbers become sparser, the oldest events and images go.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+
+use armarium_runtime::chart::Outline;
+use nalgebra::Isometry3;
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
+
+use super::header::RunHeader;
+use super::recording::how_it_ended;
+use super::track::Track;
+use crate::chart::{Format, Theme, close, levels_that_fit, render};
+use crate::recorder::{MessageSink, RunMessage};
+use crate::report::thinned;
+
+/// Events that are kept.
+const MOST_EVENTS: usize = 20_000;
+/// Bytes of events that are kept.
+const MOST_EVENT_BYTES: usize = 16 << 20;
+/// Tracks of numbers or poses that are kept.
+const MOST_TRACKS: usize = 512;
+/// Entities of memory that are kept.
+const MOST_ENTITIES: usize = 2000;
+/// Images of one topic that are kept.
+const MOST_IMAGES: usize = 64;
+/// Least time between two samples of numbers, and of poses, ns.
+const PERIOD_NS: [u64; 2] = [20_000_000, 50_000_000];
+/// Numbers of a pose: position, m, and quaternion x, y, z, w.
+const POSE: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
+
+/// A run as a page shows it; clones are the same.
+#[derive(Clone, Default)]
+pub struct Timeline(Arc<Mutex<Run>>);
+
+/// What a page has been told: what comes after it is new.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Told {
+    /// The number of the next event.
+    pub(super) event: u64,
+    /// The number of the next change of memory.
+    pub(super) change: u64,
+    /// The last pose, ns.
+    pub(super) pose_ns: Option<u64>,
+    /// How the run ended.
+    pub(super) end: bool,
+}
+
+#[derive(Default)]
+struct Run {
+    /// What does not change: for the page, and the chart.
+    header: Json,
+    outline: Option<Arc<Outline>>,
+    now_ns: u64,
+    events: VecDeque<Event>,
+    event_bytes: usize,
+    /// The number of the first event that is kept.
+    first: u64,
+    /// Since when each active state is so, ns.
+    active: BTreeMap<String, u64>,
+    numbers: BTreeMap<String, Track>,
+    poses: BTreeMap<String, Track>,
+    images: BTreeMap<String, VecDeque<(u64, Arc<[u8]>)>>,
+    /// By its address: the number of its last change, and what is known, as JSON.
+    entities: BTreeMap<String, (u64, Arc<str>)>,
+    changes: u64,
+    /// How it ended.
+    ended: Option<Json>,
+}
+
+/// Its time, ns, and its text.
+type Event = (u64, Arc<str>);
+
+/// What is known of some entities, by address, as JSON.
+type Entities = BTreeMap<String, Arc<str>>;
+
+/// Numbers by topic or frame.
+type Samples = BTreeMap<String, Vec<f32>>;
+
+/// What a page is told: all that it needs at first, or what is new.
+#[derive(Debug, Default)]
+pub(super) struct Update {
+    /// What a page needs only at first: header, active states, names of numbers, topics of images.
+    first: Option<(Json, BTreeMap<String, u64>, BTreeMap<String, Vec<String>>, Vec<String>)>,
+    now_ns: u64,
+    /// The number of the first event; more than was expected if some are gone.
+    from: u64,
+    events: Vec<Event>,
+    poses: Samples,
+    last: Samples,
+    entities: Entities,
+    ended: Option<Json>,
+    told: Told,
+}
+
+impl Update {
+    /// As JSON. What came as JSON is not read again.
+    pub(super) fn json(&self) -> String {
+        let mut fields = Vec::new();
+        if let Some((header, active, numbers, images)) = &self.first {
+            fields.extend([
+                ("header", header.to_string()),
+                ("active", text(active)),
+                ("numbers", text(numbers)),
+                ("images", text(images)),
+            ]);
+        }
+        let events: Vec<String> =
+            self.events.iter().map(|(stamp, item)| format!("[{stamp},{item}]")).collect();
+        let entities: Vec<String> =
+            self.entities.iter().map(|(id, known)| format!("{}:{known}", text(id))).collect();
+        fields.extend([
+            ("now_ns", self.now_ns.to_string()),
+            ("from", self.from.to_string()),
+            ("events", format!("[{}]", events.join(","))),
+            ("poses", text(&self.poses)),
+            ("last", text(&self.last)),
+            ("entities", format!("{{{}}}", entities.join(","))),
+            ("ended", text(&self.ended)),
+            ("told", text(&self.told)),
+        ]);
+        let fields: Vec<String> =
+            fields.into_iter().map(|(name, value)| format!("\"{name}\":{value}")).collect();
+        format!("{{{}}}", fields.join(","))
+    }
+}
+
+/// Plain data as JSON; numbers that are not finite are null.
+pub(super) fn text(data: &impl Serialize) -> String {
+    serde_json::to_string(data).unwrap_or_else(|_| "null".to_owned())
+}
+
+impl std::fmt::Debug for Timeline {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Timeline")
+    }
+}
+
+impl Timeline {
+    /// Begins with what does not change during a run.
+    pub fn begin(&self, header: &RunHeader) {
+        let mut run = self.0.lock();
+        run.header = header.for_page();
+        run.outline = Some(Arc::new(header.outline.clone()));
+    }
+
+    /// Says how the run ended.
+    pub fn end(&self, ended: Json) {
+        self.0.lock().ended = Some(ended);
+    }
+
+    /// How the run ended, as its last events say.
+    pub(super) fn finished(&self) -> Option<Json> {
+        how_it_ended(self.0.lock().events.iter().map(|(_, text)| text))
+    }
+
+    /// What memory knows of an entity now; `None` when it was removed.
+    pub fn remember(&self, id: &str, known: Option<&Json>) {
+        let known = known.unwrap_or(&Json::Null).to_string();
+        let mut run = self.0.lock();
+        let number = run.changes;
+        if run.entities.len() < MOST_ENTITIES || run.entities.contains_key(id) {
+            run.changes += 1;
+            run.entities.insert(id.to_owned(), (number, known.into()));
+        }
+    }
+
+    /// All that a page needs at first, and what it has been told with it.
+    pub(super) fn all(&self) -> Update {
+        let run = self.0.lock();
+        let numbers = run.numbers.iter().map(|(topic, track)| (topic.clone(), track.names.clone())).collect();
+        let images = run.images.keys().cloned().collect();
+        let first = Some((run.header.clone(), run.active.clone(), numbers, images));
+        Update { first, ..run.since(&Told::default()) }
+    }
+
+    /// What is new since `told`, which goes on to now; `None` if nothing is.
+    pub(super) fn news(&self, told: &mut Told) -> Option<Update> {
+        let run = self.0.lock();
+        let before = std::mem::replace(told, run.told());
+        (before != *told).then(|| run.since(&before))
+    }
+
+    /// Where everything was at a time, ns.
+    pub(super) fn poses(&self, stamp_ns: u64) -> Samples {
+        self.0.lock().poses_at(stamp_ns, None)
+    }
+
+    /// A number over time, thinned to so many points, in pieces of `[s, value]`.
+    pub(super) fn series(
+        &self,
+        topic: &str,
+        name: &str,
+        range: [f64; 2],
+        points: usize,
+    ) -> Option<Vec<Vec<[f64; 2]>>> {
+        let (times, values) = self.0.lock().numbers.get(topic)?.series(name)?;
+        Some(thinned(&times, &values, range, points))
+    }
+
+    /// The picture of the chart with these states closed, whose paths are joined by commas; without them as many are closed as a
+    /// screen needs. Which these are, and SVG.
+    pub(super) fn chart(&self, closed: Option<&str>) -> Option<(String, Vec<u8>)> {
+        let outline = self.0.lock().outline.clone()?;
+        let paths: Vec<String> = (0..outline.states.len()).map(|state| outline.path(state)).collect();
+        let closed: BTreeSet<usize> = match closed {
+            Some(list) => {
+                let list: BTreeSet<&str> = list.split(',').collect();
+                (1..paths.len()).filter(|state| list.contains(paths[*state].as_str())).collect()
+            }
+            None => levels_that_fit(&outline).map_or_else(BTreeSet::new, |levels| {
+                let level = |state: usize| paths[state].split('.').count();
+                (1..paths.len())
+                    .filter(|s| level(*s) == levels && !outline.states[*s].children.is_empty())
+                    .collect()
+            }),
+        };
+        let shown = close(&outline, &|state| closed.contains(&state));
+        let picture = render(&shown, Format::Svg, Theme::Auto).ok()?;
+        let names: Vec<&str> = closed.iter().map(|state| paths[*state].as_str()).collect();
+        Some((names.join(","), picture))
+    }
+
+    /// The topics that have images.
+    pub(super) fn images(&self) -> Vec<String> {
+        self.0.lock().images.keys().cloned().collect()
+    }
+
+    /// The image of a topic at a time, ns.
+    pub(super) fn image(&self, topic: &str, stamp_ns: u64) -> Option<(u64, Arc<[u8]>)> {
+        let run = self.0.lock();
+        let images = run.images.get(topic)?;
+        let at = images.partition_point(|(stamp, _)| *stamp <= stamp_ns).saturating_sub(1);
+        images.get(at).cloned()
+    }
+}
+
+impl Run {
+    fn told(&self) -> Told {
+        Told {
+            event: self.first + self.events.len() as u64,
+            change: self.changes,
+            pose_ns: self.poses.values().filter_map(|track| Some(track.last()?.0)).max(),
+            end: self.ended.is_some(),
+        }
+    }
+
+    /// The poses at a time, each with its own time, s; of those that have changed after `since_ns`.
+    fn poses_at(&self, stamp_ns: u64, since_ns: Option<u64>) -> Samples {
+        let newer =
+            |track: &Track| since_ns.is_none_or(|since| track.last().is_some_and(|(last, _)| last > since));
+        let tracks = self.poses.iter().filter(|(_, track)| newer(track));
+        let sample = |track: &Track| {
+            let (stamp_ns, pose) = track.at(stamp_ns)?;
+            Some([pose, &[(stamp_ns as f64 * 1e-9) as f32]].concat())
+        };
+        tracks.filter_map(|(frame, track)| Some((frame.clone(), sample(track)?))).collect()
+    }
+
+    /// What a page has not been told yet.
+    fn since(&self, before: &Told) -> Update {
+        let skipped = usize::try_from(before.event.saturating_sub(self.first)).unwrap_or(usize::MAX);
+        let changed = self.entities.iter().filter(|(_, (number, _))| *number >= before.change);
+        let last = |(topic, track): (&String, &Track)| Some((topic.clone(), track.last()?.1.to_vec()));
+        Update {
+            first: None,
+            now_ns: self.now_ns,
+            from: before.event.max(self.first),
+            events: self.events.iter().skip(skipped).cloned().collect(),
+            poses: self.poses_at(u64::MAX, before.pose_ns),
+            last: self.numbers.iter().filter_map(last).collect(),
+            entities: changed.map(|(id, (_, known))| (id.clone(), Arc::clone(known))).collect(),
+            ended: self.ended.clone(),
+            told: self.told(),
+        }
+    }
+
+    fn event(&mut self, stamp_ns: u64, text: &str) {
+        // What is none would break what a page reads.
+        let Ok(What { item }) = serde_json::from_str(text) else { return };
+        match (item.what.as_str(), item.state) {
+            ("entered", Some(state)) => _ = self.active.insert(state, stamp_ns),
+            ("exited", Some(state)) => _ = self.active.remove(&state),
+            _ => {}
+        }
+        self.event_bytes += text.len();
+        self.events.push_back((stamp_ns, text.into()));
+        while self.events.len() > MOST_EVENTS || self.event_bytes > MOST_EVENT_BYTES {
+            let Some(oldest) = self.events.pop_front() else { break };
+            self.event_bytes -= oldest.1.len();
+            self.first += 1;
+        }
+    }
+
+    fn pose(&mut self, topic: &str, stamp_ns: u64, pose: &Isometry3<f64>) {
+        let (t, q) = (pose.translation.vector, pose.rotation.coords);
+        let names = || POSE.map(str::to_owned).to_vec();
+        let frame = topic.rsplit('/').next().unwrap_or(topic);
+        if let Some(track) = track(&mut self.poses, frame, PERIOD_NS[1], names) {
+            track.push(stamp_ns, [t.x, t.y, t.z, q.x, q.y, q.z, q.w]);
+        }
+    }
+
+    fn json(&mut self, topic: &str, stamp_ns: u64, text: &str) {
+        if self.numbers.get(topic).is_some_and(|track| !track.is_due(stamp_ns)) {
+            return;
+        }
+        let Ok(content) = serde_json::from_str::<Json>(text) else { return };
+        let mut found = Vec::new();
+        numbers(&content, String::new(), &mut found);
+        if found.is_empty() {
+            return;
+        }
+        let names = || found.iter().map(|(name, _)| name.clone()).collect();
+        if let Some(track) = track(&mut self.numbers, topic, PERIOD_NS[0], names) {
+            track.push(stamp_ns, found.iter().map(|(_, number)| *number));
+        }
+    }
+
+    fn image(&mut self, topic: &str, stamp_ns: u64, jpeg: &[u8]) {
+        let images = self.images.entry(topic.to_owned()).or_default();
+        if images.len() >= MOST_IMAGES {
+            let mut even = false;
+            images.retain(|_| {
+                even = !even;
+                even
+            });
+        }
+        images.push_back((stamp_ns, jpeg.into()));
+    }
+}
+
+/// The track of a topic, which is begun if it is new and there is room.
+fn track<'t>(
+    tracks: &'t mut BTreeMap<String, Track>,
+    topic: &str,
+    period_ns: u64,
+    names: impl FnOnce() -> Vec<String>,
+) -> Option<&'t mut Track> {
+    if !tracks.contains_key(topic) {
+        if tracks.len() >= MOST_TRACKS {
+            return None;
+        }
+        tracks.insert(topic.to_owned(), Track::new(names(), period_ns));
+    }
+    tracks.get_mut(topic)
+}
+
+/// The part of an event that says which states are active.
+#[derive(Deserialize)]
+struct What {
+    item: WhatItem,
+}
+
+#[derive(Deserialize)]
+struct WhatItem {
+    what: String,
+    state: Option<String>,
+}
+
+/// All numbers of a JSON value with their names: `force[0]`.
+fn numbers(value: &Json, name: String, found: &mut Vec<(String, f64)>) {
+    match value {
+        Json::Number(number) => found.extend(number.as_f64().map(|number| (name, number))),
+        Json::Bool(set) => found.push((name, f64::from(u8::from(*set)))),
+        Json::Array(items) => {
+            for (at, item) in items.iter().enumerate() {
+                numbers(item, format!("{name}[{at}]"), found);
+            }
+        }
+        Json::Object(fields) => {
+            for (field, value) in fields {
+                let inner = if name.is_empty() { field.clone() } else { format!("{name}.{field}") };
+                numbers(value, inner, found);
+            }
+        }
+        Json::Null | Json::String(_) => {}
+    }
+}
+
+impl MessageSink for Timeline {
+    fn take(&self, stamp_ns: u64, message: &RunMessage<'_>) {
+        let mut run = self.0.lock();
+        run.now_ns = run.now_ns.max(stamp_ns);
+        match *message {
+            RunMessage::Json { topic: "/chart/events", text } => run.event(stamp_ns, text),
+            RunMessage::Json { topic, text } => run.json(topic, stamp_ns, text),
+            RunMessage::Pose { topic, pose } => run.pose(topic, stamp_ns, pose),
+            RunMessage::Joints { names, position, .. } => {
+                let names = || names.iter().map(ToString::to_string).collect();
+                if let Some(track) = track(&mut run.numbers, "/robot/joints", PERIOD_NS[0], names) {
+                    track.push(stamp_ns, position.iter().copied());
+                }
+            }
+            RunMessage::Image { topic, jpeg } => run.image(topic, stamp_ns, jpeg),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn event(timeline: &Timeline, at: u64, what: &str, state: &str) {
+        let text = json!({"at_ns": at, "item": {"what": what, "state": state}}).to_string();
+        timeline.take(at, &RunMessage::Json { topic: "/chart/events", text: &text });
+    }
+
+    #[test]
+    fn a_page_is_told_each_event_once_and_what_is_active_though_the_oldest_are_gone() {
+        let timeline = Timeline::default();
+        event(&timeline, 1, "entered", "Long");
+        let mut told = Told::default();
+        assert!(timeline.news(&mut told).unwrap().events[0].1.contains("Long"));
+        assert!(timeline.news(&mut told).is_none());
+        for k in 0..MOST_EVENTS as u64 {
+            event(&timeline, 2 + k, "entered", "Short");
+            event(&timeline, 2 + k, "exited", "Short");
+        }
+        let all = timeline.all();
+        assert_eq!((all.events.len(), all.from), (MOST_EVENTS, MOST_EVENTS as u64 + 1));
+        assert_eq!(all.first.as_ref().unwrap().1, BTreeMap::from([("Long".to_owned(), 1)]));
+        assert_eq!(timeline.news(&mut told).unwrap().from, all.from, "it sees that it has missed some");
+    }
+
+    #[test]
+    fn numbers_have_the_names_of_their_places() {
+        let timeline = Timeline::default();
+        let text = r#"{"force":[1.5,2,null],"held":true,"deep":{"x":-1}}"#;
+        timeline.take(5, &RunMessage::Json { topic: "/robot/wrench", text });
+        let all = timeline.all();
+        assert_eq!(all.first.unwrap().2["/robot/wrench"], ["deep.x", "force[0]", "force[1]", "held"]);
+        assert_eq!(
+            timeline.series("/robot/wrench", "force[0]", [0.0, 1.0], 10),
+            Some(vec![vec![[5e-9, 1.5]]])
+        );
+        assert_eq!(timeline.series("/robot/wrench", "nothing", [0.0, 1.0], 10), None);
+    }
+}
