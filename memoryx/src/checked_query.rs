@@ -8,11 +8,13 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::filter::Filter;
 use crate::place::{SpatialRegion, distance, place_of};
-use crate::query::{Query, Times};
+use crate::query::{Cursor, Query, Times};
 
 /// Limits of a nearest-first selection: after so many snapshots, or bytes of them, only the nearest are kept.
 const MIN_NEAREST: usize = 1024;
 const MIN_NEAREST_BYTES: u64 = 16 << 20;
+/// So many entities are looked at between two questions whether to go on.
+const PAUSE: usize = 16;
 
 /// A checked query.
 #[derive(Clone, Debug)]
@@ -88,10 +90,13 @@ impl CheckedQuery<'_> {
         }
     }
 
-    /// An empty answer.
-    pub(crate) fn answer(&self) -> Selection<'_> {
+    /// An empty answer, which ends early when `goes_on` says so; `goes_on` is called every few entities.
+    pub(crate) fn answer<'a>(&'a self, goes_on: &'a dyn Fn() -> bool) -> Selection<'a> {
         Selection {
             asked: self,
+            goes_on,
+            looked_at: 0,
+            stopped: None,
             found: Vec::new(),
             bytes: 0,
             left: MIN_NEAREST,
@@ -148,9 +153,31 @@ impl CheckedQuery<'_> {
     }
 }
 
+/// The answer to a query.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answer {
+    /// The snapshots.
+    pub snapshots: Vec<Arc<Snapshot>>,
+    /// Where it was cut off: a query with `after` this position returns the rest, which was not looked at. `None` when
+    /// it is whole.
+    pub next: Option<Cursor>,
+}
+
+impl Cursor {
+    /// The refusal of a query that has taken too long to get further.
+    pub(crate) fn too_slow(&self) -> MemoryError {
+        let what = format!("it takes too long, and nothing after `{}` was looked at: ask for less", self.id);
+        MemoryError::Query { what }
+    }
+}
+
 /// The answer so far, in its order.
 pub(crate) struct Selection<'a> {
     asked: &'a CheckedQuery<'a>,
+    goes_on: &'a dyn Fn() -> bool,
+    looked_at: usize,
+    /// The position up to which everything was looked at, when the answer ended early.
+    stopped: Option<Cursor>,
     found: Vec<Arc<Snapshot>>,
     /// Bytes of `found`; counted only when the query bounds them.
     bytes: u64,
@@ -181,6 +208,28 @@ impl Selection<'_> {
         snapshots.into_iter().for_each(|snapshot| self.push(snapshot));
     }
 
+    /// Adds the selection from one entity's snapshots. Entities come in order of address. Returns whether further ones
+    /// are to be looked at.
+    pub(crate) fn consider<H>(&mut self, id: &EntityId, history: impl FnOnce() -> H) -> bool
+    where
+        H: DoubleEndedIterator<Item = Arc<Snapshot>>,
+    {
+        if !self.is_full() && self.asked.wants(id) {
+            self.extend(self.asked.select(history()));
+        }
+        self.looked_at += 1;
+        let may_pause = self.looked_at.is_multiple_of(PAUSE);
+        if may_pause { self.looks_on(|| Cursor::behind(id)) } else { !self.is_full() }
+    }
+
+    /// Whether what follows a position, up to which everything was looked at, is to be looked at.
+    pub(crate) fn looks_on(&mut self, position: impl FnOnce() -> Cursor) -> bool {
+        if self.stopped.is_none() && !(self.goes_on)() {
+            self.stopped = Some(position());
+        }
+        self.stopped.is_none() && !self.is_full()
+    }
+
     /// Whether the answer has reached the query's bounds, so that later snapshots need not be read.
     pub(crate) fn is_full(&self) -> bool {
         let query = self.asked.query;
@@ -189,8 +238,21 @@ impl Selection<'_> {
                 || query.most_bytes.is_some_and(|most| self.bytes >= most && !self.found.is_empty()))
     }
 
-    pub(crate) fn finish(self) -> Vec<Arc<Snapshot>> {
-        self.asked.finish(self.found)
+    /// The whole answer.
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be among what was not
+    /// looked at.
+    pub(crate) fn finish(self) -> Result<Answer, MemoryError> {
+        let query = self.asked.query;
+        if let Some(end) = self.stopped.as_ref().filter(|_| query.is_nearest()) {
+            return Err(end.too_slow());
+        }
+        let (was_full, stopped) = (self.is_full(), self.stopped);
+        let snapshots = self.asked.finish(self.found);
+        let last = snapshots.last().filter(|_| was_full).map(|s| Cursor::after(s));
+        let next = last.or(stopped);
+        Ok(Answer { snapshots, next })
     }
 }
 

@@ -1,7 +1,7 @@
 //! A writer that sends nonsense, too much data or data from the future gets an error, and all others are served.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use armarium_bus::session::Reply;
 use armarium_bus::{Session, SessionConfig, keys};
@@ -88,9 +88,12 @@ fn nobody_takes_the_room_of_others() {
     assert!(memory.commit_now(vec![of("erin", "image", 4000)]).is_ok());
 }
 
-/// Counts how often it is asked to store something.
+/// Counts how often it is asked to store something, and waits each time until its disk is free.
 #[derive(Default)]
-struct Counting(AtomicUsize);
+struct Counting {
+    takes: AtomicUsize,
+    disk_is_busy: AtomicBool,
+}
 
 impl Backing for Counting {
     fn last_version(&self, _: &EntityId) -> Result<u64, MemoryError> {
@@ -98,25 +101,36 @@ impl Backing for Counting {
     }
 
     fn take(&self, _: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
-        self.0.fetch_add(1, Ordering::Relaxed);
+        self.takes.fetch_add(1, Ordering::Relaxed);
+        while self.disk_is_busy.load(Ordering::Acquire) {
+            std::thread::yield_now();
+        }
         Ok(())
     }
 }
 
-#[test]
-fn commits_that_wait_together_are_kept_together() {
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn commits_that_wait_together_are_kept_together() {
     let backing = Arc::new(Counting::default());
     let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::<Counting>::clone(&backing));
-    let group = vec![
-        (vec![update("a", 1), update("b", 1)], 0),
-        (vec![update("c", 1), update("a", 2).expecting(7)], 0),
-        (vec![update("a", 3).expecting(1)], 0),
+    backing.disk_is_busy.store(true, Ordering::Release);
+    let before = memory.enqueue(vec![update("z", 1)], 0);
+    while backing.takes.load(Ordering::Relaxed) == 0 {
+        tokio::task::yield_now().await;
+    }
+    let answers = [
+        memory.enqueue(vec![update("a", 1), update("b", 1)], 0),
+        memory.enqueue(vec![update("c", 1), update("a", 2).expecting(7)], 0),
+        memory.enqueue(vec![update("a", 3).expecting(1)], 0),
     ];
-    let answers = memory.commit_group(group);
-    assert_eq!(answers[0], Ok(vec![1, 1]));
-    assert!(matches!(answers[1], Err(MemoryError::Conflict { expected: 7, actual: 1, .. })));
-    assert_eq!(answers[2], Ok(vec![2]), "what was refused has left nothing behind");
-    assert_eq!((backing.0.load(Ordering::Relaxed), memory.len()), (1, 2));
+    assert!(memory.is_empty(), "nothing is visible before it is stored");
+    backing.disk_is_busy.store(false, Ordering::Release);
+    assert_eq!(before.await, Ok(vec![1]));
+    let [first, second, third] = answers;
+    assert_eq!(first.await, Ok(vec![1, 1]));
+    assert!(matches!(second.await, Err(MemoryError::Conflict { expected: 7, actual: 1, .. })));
+    assert_eq!(third.await, Ok(vec![2]), "what was refused has left nothing behind");
+    assert_eq!((backing.takes.load(Ordering::Relaxed), memory.len()), (2, 3));
 
     let versions: Vec<u64> = std::thread::scope(|scope| {
         let write = |_| {

@@ -40,7 +40,7 @@ mod working;
 
 pub use agent::{AgentMemory, MemoryConfig, Restored};
 pub use attributes::Attributes;
-pub use checked_query::CheckedQuery;
+pub use checked_query::{Answer, CheckedQuery};
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;

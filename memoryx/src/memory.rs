@@ -86,7 +86,7 @@ impl Pages {
         }
         let found = memory.query(&self.query).await?;
         self.left = self.query.is_filled_by(&found);
-        self.query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
+        self.query.after = found.last().map(|s| Cursor::after(s));
         Ok((!found.is_empty()).then_some(found))
     }
 }

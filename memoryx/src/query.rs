@@ -10,7 +10,7 @@ use crate::place::SpatialRegion;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or `None` for any.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct Pattern {
     /// The core segment.
     pub segment: Option<String>,
@@ -53,7 +53,7 @@ pub struct Cursor {
 
 /// A query to a memory. The conditions after `pattern` and `times` are applied in the order of the fields.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct Query {
     /// Which entities.
     pub pattern: Pattern,
@@ -77,6 +77,18 @@ pub struct Query {
     pub removed: bool,
     /// Whether to include long-term memory, where working memory has forgotten.
     pub long_term: bool,
+}
+
+impl Cursor {
+    /// The position of a snapshot.
+    pub fn after(snapshot: &Snapshot) -> Self {
+        Self { id: snapshot.id.clone(), version: snapshot.version }
+    }
+
+    /// The position behind all snapshots of an entity.
+    pub fn behind(id: &EntityId) -> Self {
+        Self { id: id.clone(), version: u64::MAX }
+    }
 }
 
 impl Pattern {

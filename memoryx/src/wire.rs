@@ -3,7 +3,7 @@
 //! | where | payload | answer |
 //! |---|---|---|
 //! | get `{agent}/memory` | `memoryx/commit;v1`: [`CommitRequest`] | `memoryx/versions;v1`: list of versions |
-//! | get `{agent}/memory` | `memoryx/query;v1`: [`Query`] | `memoryx/snapshots;v2`: [`Snapshots`], a part where there is more |
+//! | get `{agent}/memory` | `memoryx/query;v1`: [`QueryRequest`] | `memoryx/snapshots;v2`: [`Snapshots`], a part where there is more |
 //! | get `{agent}/memory` | `memoryx/maintain;v1`: [`Maintain`] | `memoryx/report;v1`: [`MaintenanceReport`] |
 //! | get `{agent}/memory/{segment}/{provider}/{entity}`, `*` allowed | - | `memoryx/entity;v1` each, on its own key |
 //! | put `{agent}/memory/{segment}/{provider}/{entity}` by others | `memoryx/update;v1`: [`Commit`] | - |
@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
-use crate::query::{Pattern, Query, Times};
+use crate::query::{Cursor, Pattern, Query, Times};
 
 /// Most snapshots in one answer.
 pub(crate) const MAX_SNAPSHOTS: usize = 8192;
@@ -43,13 +43,27 @@ pub struct CommitRequest {
 #[serde(transparent)]
 pub struct Versions(pub Vec<u64>);
 
+/// A query to a memory.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct QueryRequest {
+    /// The query.
+    #[serde(flatten)]
+    pub query: Query,
+    /// Whether the asker goes on at [`Snapshots::next`]. Then each part takes a short time, and may be empty.
+    pub parts: bool,
+}
+
 /// The snapshots that answer a query, or the first part of them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Snapshots {
     /// The snapshots.
     pub snapshots: Vec<Arc<Snapshot>>,
-    /// Whether there are more; a query with `after` the last of these returns them.
+    /// Whether there are more.
     pub more: bool,
+    /// If there are more: a query with `after` this position returns them. The memory has not looked at them.
+    pub next: Option<Cursor>,
 }
 
 /// Changes of a memory, in order. An idle memory sends an empty list, with the number of changes so far.
@@ -120,7 +134,7 @@ pub struct MaintenanceReport {
 armarium_bus::payloads! {
     CommitRequest: "memoryx/commit", 1;
     Versions: "memoryx/versions", 1;
-    Query: "memoryx/query", 1;
+    QueryRequest: "memoryx/query", 1;
     Snapshots: "memoryx/snapshots", 2;
     Changes: "memoryx/changes", 1;
     Maintain: "memoryx/maintain", 1;
@@ -240,7 +254,7 @@ mod tests {
     fn payloads_are_opened_by_their_schema_only() {
         let (encoding, bytes) = seal(&Versions(vec![1, 2])).unwrap();
         assert_eq!(open::<Versions>(&encoding, &bytes), Ok(Versions(vec![1, 2])));
-        assert!(matches!(open::<Query>(&encoding, &bytes), Err(CodecError::OtherSchema { .. })));
+        assert!(matches!(open::<QueryRequest>(&encoding, &bytes), Err(CodecError::OtherSchema { .. })));
         assert!(matches!(open::<Versions>(&encoding, b"\xff"), Err(CodecError::Malformed { .. })));
         let refusal = MemoryError::Conflict { id: "S/p/e".into(), expected: 1, actual: 2 };
         let (encoding, bytes) = seal(&refusal).unwrap();

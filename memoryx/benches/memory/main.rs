@@ -1,6 +1,6 @@
 //! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
-//! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `store`,
-//! `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
+//! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `beside`,
+//! `store`, `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
 //! disk) only runs when named.
 //!
 //! Rates depend on the other load of the machine; so the processor time of each item is printed too.
@@ -13,6 +13,7 @@ use armarium_memoryx::{Commit, EntityId};
 use armarium_values::Value;
 
 mod axes;
+mod beside;
 mod frames;
 mod link;
 mod scale;
@@ -90,6 +91,9 @@ fn main() {
     if is_wanted("working") {
         working::in_process();
         working::a_million();
+    }
+    if is_wanted("beside") {
+        runtime.block_on(beside::beside());
     }
     if is_wanted("store") {
         store::long_term();

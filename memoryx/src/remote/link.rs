@@ -16,9 +16,9 @@ use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::memory::Memory;
-use crate::query::{Cursor, Pattern, Query};
+use crate::query::{Pattern, Query};
 use crate::server::unreachable_memory;
-use crate::wire::{self, Changes, CommitRequest, Snapshots, Versions};
+use crate::wire::{self, Changes, CommitRequest, QueryRequest, Snapshots, Versions};
 
 /// How often connecting tries a memory that does not answer.
 const MAX_TRIES: u32 = 5;
@@ -197,13 +197,14 @@ impl Memory for Link {
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        let mut query = query.clone();
+        let mut request = QueryRequest { query: query.clone(), parts: true };
         let mut all = Vec::new();
         loop {
-            let (encoding, payload) = wire::seal(&query).map_err(|e| self.failed(&e.to_string()))?;
+            let (encoding, payload) = wire::seal(&request).map_err(|e| self.failed(&e.to_string()))?;
             let (encoding, payload) = self.ask(&encoding, payload).await?;
             let found: Snapshots =
                 wire::open(&encoding, &payload).map_err(|e| self.failed(&e.to_string()))?;
+            let query = &mut request.query;
             if let Some(most) = &mut query.most {
                 *most = most.saturating_sub(found.snapshots.len());
             }
@@ -211,11 +212,10 @@ impl Memory for Link {
                 *most = most.saturating_sub(found.snapshots.iter().map(|s| s.bytes()).sum());
             }
             all.extend(found.snapshots);
-            let last = all.last().filter(|_| found.more);
-            let Some(last) = last.filter(|_| query.most != Some(0) && query.most_bytes != Some(0)) else {
-                return Ok(all);
-            };
-            query.after = Some(Cursor { id: last.id.clone(), version: last.version });
+            let next =
+                found.next.filter(|_| found.more && query.most != Some(0) && query.most_bytes != Some(0));
+            let Some(next) = next else { return Ok(all) };
+            query.after = Some(next);
         }
     }
 

@@ -1,20 +1,31 @@
 //! Queries, gets by key and maintenance of a shared memory: answered in parallel, beside commits, in parts, and
 //! within a memory budget.
 
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
+use std::time::Duration;
 
 use armarium_bus::{IncomingQuery, Queryable, SessionError};
+use parking_lot::FairMutexGuard;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::{JoinSet, block_in_place};
+use tokio::time::Instant;
 
-use super::{BUDGET_KB, ServedMemory, forbid, log_failure};
+use super::{BUDGET_KB, Response, ServedMemory, forbid, log_failure};
+use crate::checked_query::Answer;
 use crate::error::MemoryError;
 use crate::maintain;
 use crate::query::{Cursor, Query};
-use crate::wire::{self, MAX_BYTES, MAX_SNAPSHOTS, Maintain, Snapshots};
+use crate::wire::{self, MAX_BYTES, MAX_SNAPSHOTS, Maintain, QueryRequest, Snapshots};
 
 /// Least budget of a query, kB. It bounds the number of queries that wait.
 const MIN_QUERY_KB: u32 = 256;
+/// How long one part of an answer may take, where the asker reads it in parts, and where he does not. An asker that is
+/// gone costs no more than this.
+const PART_TIME: Duration = Duration::from_millis(250);
+const WHOLE_TIME: Duration = Duration::from_secs(10);
+/// How long a query computes before the next one does.
+const TURN_TIME: Duration = Duration::from_millis(2);
 
 impl ServedMemory {
     /// Reserves budget for a query to wait beside the others, so that commits never wait for queries. When none is
@@ -46,33 +57,55 @@ impl ServedMemory {
     }
 
     /// Answers a query or maintenance, depending on its encoding.
-    fn answer(&self, question: &IncomingQuery) -> Result<(String, Vec<u8>), MemoryError> {
+    fn answer(&self, question: &IncomingQuery) -> Response {
         let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
-        let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
+        if encoding.starts_with("application/cbor;memoryx/maintain;") {
             let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
             let writer = self.writer(question);
             if self.options.guarded && writer != Some(self.agent.as_str()) {
                 return Err(forbid("long-term memory".into(), writer));
             }
-            wire::seal(&maintain::carry_out(request, self.options.store.as_deref(), &self.memory)?)
-        } else {
-            let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            wire::seal(&self.page(query)?)
-        };
-        sealed.map_err(|e| self.not_understood(&e))
+            return self.sealed(&maintain::carry_out(request, self.options.store.as_deref(), &self.memory)?);
+        }
+        let request: QueryRequest = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+        self.sealed(&self.page(request)?)
     }
 
-    /// As much of an answer as fits into one message.
-    fn page(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
+    /// As much of an answer as fits into one message and into the time of one part.
+    fn page(&self, request: QueryRequest) -> Result<Snapshots, MemoryError> {
+        let QueryRequest { mut query, parts } = request;
         query.most = Some(query.most.unwrap_or(usize::MAX).min(MAX_SNAPSHOTS));
         query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MAX_BYTES));
-        let mut snapshots = self.memory.query_now(&query)?;
-        let full = query.is_filled_by(&snapshots) && !snapshots.is_empty();
+        let Answer { mut snapshots, mut next } =
+            self.ask(&query, if parts { PART_TIME } else { WHOLE_TIME })?;
+        if let Some(end) = next.as_ref().filter(|end| !parts && end.version == u64::MAX) {
+            return Err(end.too_slow());
+        }
         let fits = wire::in_one_answer(&snapshots);
-        let cut = fits < snapshots.len();
-        snapshots.truncate(fits);
-        // The nearest are ordered by distance, so a cursor cannot continue such an answer.
-        Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
+        if fits < snapshots.len() {
+            snapshots.truncate(fits);
+            // The nearest are ordered by distance, so a cursor cannot continue such an answer.
+            next = snapshots.last().filter(|_| !query.is_nearest()).map(|last| Cursor::after(last));
+        }
+        Ok(Snapshots { snapshots, more: next.is_some(), next })
+    }
+
+    /// Asks the memory for as long as `time`. Queries that look at many entities take turns, so that together they use
+    /// one processor at most.
+    fn ask(&self, query: &Query, time: Duration) -> Result<Answer, MemoryError> {
+        if query.pattern.exact().is_some() && !query.long_term {
+            return self.memory.query_while(query, &|| true);
+        }
+        let turn = RefCell::new(self.turn.lock());
+        let start = Instant::now();
+        let since = Cell::new(start);
+        self.memory.query_while(query, &|| {
+            if since.get().elapsed() > TURN_TIME {
+                FairMutexGuard::bump(&mut turn.borrow_mut());
+                since.set(Instant::now());
+            }
+            start.elapsed() < time
+        })
     }
 
     pub(super) async fn answer_gets(self, mut questions: Queryable) {
@@ -96,14 +129,12 @@ impl ServedMemory {
         };
         loop {
             let turn = self.turn().await;
-            let found = match block_in_place(|| self.memory.query_now(&query)) {
-                Ok(found) => found,
+            let answer = match block_in_place(|| self.ask(&query, WHOLE_TIME)) {
+                Ok(answer) => answer,
                 Err(error) => return self.refuse(question, &error).await,
             };
             drop(turn);
-            let more = query.is_filled_by(&found);
-            query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
-            for snapshot in found {
+            for snapshot in answer.snapshots {
                 let (Ok(key), Ok((encoding, payload))) =
                     (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
                 else {
@@ -111,8 +142,13 @@ impl ServedMemory {
                 };
                 question.reply(&key, &encoding, payload).await?;
             }
-            if !more {
-                return Ok(());
+            match answer.next {
+                // Stopped before the end of the answer's bounds, by time.
+                Some(next) if next.version == u64::MAX => {
+                    return self.refuse(question, &next.too_slow()).await;
+                }
+                Some(next) => query.after = Some(next),
+                None => return Ok(()),
             }
         }
     }

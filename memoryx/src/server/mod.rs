@@ -10,8 +10,9 @@
 use std::sync::Arc;
 
 use armarium_bus::{
-    AliveToken, IncomingQuery, Key, Message, Queryable, Session, SessionError, Subscription, keys,
+    AliveToken, IncomingQuery, Key, Message, Payload, Queryable, Session, SessionError, Subscription, keys,
 };
+use parking_lot::FairMutex;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
@@ -32,13 +33,11 @@ use refusals::{Refusals, is_senders_fault};
 
 /// Queries and updates that wait to be decoded.
 const QUEUE: usize = 1024;
-/// Commits that are made durable together.
+/// Updates without an answer that are committed together.
 const MAX_GROUP: usize = 256;
-/// Bytes of requests that are decoded together, beyond the request that exceeds them.
-const MAX_GROUP_BYTES: usize = 8 << 20;
 /// Queries that are answered in parallel.
 const MAX_PARALLEL_QUERIES: usize = 8;
-/// Budget for queries that wait or are being answered, kB.
+/// Budget for queries that wait or are being answered, and for commits that wait, kB each.
 const BUDGET_KB: u32 = 64 << 10;
 
 /// A memory that is shared until this is dropped.
@@ -98,6 +97,8 @@ impl MemoryServer {
             options,
             queries,
             room,
+            waiting: Arc::new(Semaphore::new(BUDGET_KB as usize)),
+            turn: Arc::default(),
             refusals,
         };
         let mut tasks = JoinSet::new();
@@ -131,59 +132,54 @@ struct ServedMemory {
     options: ServerOptions,
     queries: Arc<Semaphore>,
     room: Arc<Semaphore>,
+    /// Budget for commits that wait, kB.
+    waiting: Arc<Semaphore>,
+    /// Held by the query that computes.
+    turn: Arc<FairMutex<()>>,
     refusals: Arc<Refusals>,
 }
 
 impl ServedMemory {
+    /// Takes requests in the order of their arrival, and answers each in a task of its own: an asker that takes nothing
+    /// holds nobody else up.
     async fn answer_requests(self, mut questions: Queryable) {
-        let mut others = JoinSet::new();
-        while let Some(first) = questions.next().await {
-            let (mut commits, mut bytes) = (Vec::new(), 0);
-            let mut next = Some(first);
-            while let Some(question) = next {
-                if question.encoding.starts_with("application/cbor;memoryx/commit;") {
-                    bytes += question.payload.len();
-                    commits.push(question);
-                } else {
-                    others.spawn(self.clone().answer_aside(question));
-                }
-                let is_group = commits.len() == MAX_GROUP || bytes > MAX_GROUP_BYTES;
-                next = if is_group { None } else { questions.try_next() };
-            }
-            // Each in a task of its own: an asker that takes nothing holds nobody else up.
-            for (mut question, answer) in self.answer_commits(commits) {
-                let shared = self.clone();
+        let mut answers = JoinSet::new();
+        while let Some(mut question) = questions.next().await {
+            let shared = self.clone();
+            if question.encoding.starts_with("application/cbor;memoryx/commit;") {
+                // Further requests wait in Zenoh's queue while so many commits wait for the disk.
+                let kb = u32::try_from(question.payload.len() / 1024 + 1).unwrap_or(BUDGET_KB).min(BUDGET_KB);
+                let waiting = Arc::clone(&self.waiting).acquire_many_owned(kb).await;
+                let versions = self.begin_commit(&question);
                 question.payload = Vec::new();
-                others.spawn(async move { shared.send(&question, answer).await });
+                answers.spawn(async move {
+                    let versions = match versions {
+                        Ok(versions) => versions.await,
+                        Err(error) => Err(error),
+                    };
+                    drop(waiting);
+                    let sealed = versions.and_then(|versions| shared.sealed(&Versions(versions)));
+                    shared.send(&question, sealed).await;
+                });
+            } else {
+                answers.spawn(shared.answer_aside(question));
             }
-            while others.try_join_next().is_some() {}
+            while answers.try_join_next().is_some() {}
         }
     }
 
-    /// Commits the requests that are valid and permitted. Returns the answer to each.
-    fn answer_commits(&self, questions: Vec<IncomingQuery>) -> Vec<(IncomingQuery, Response)> {
-        let (mut understood, mut commits, mut answers) = (Vec::new(), Vec::new(), Vec::new());
-        for question in questions {
-            let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
-            let request = request.map_err(|error| self.not_understood(&error));
-            match request.and_then(|request| self.permitted(&question, request)) {
-                Ok(request) => {
-                    commits.push((request.updates, request.sent_ns));
-                    understood.push(question);
-                }
-                Err(error) => answers.push((question, Err(error))),
-            }
-        }
-        if !commits.is_empty() {
-            let sealed =
-                self.waiting_for_disk(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
-                    answer.and_then(|versions| {
-                        wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e))
-                    })
-                });
-            answers.extend(understood.into_iter().zip(sealed));
-        }
-        answers
+    /// Takes a request that is valid and permitted into the order of commits.
+    fn begin_commit(
+        &self,
+        question: &IncomingQuery,
+    ) -> Result<impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<>, MemoryError> {
+        let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
+        let request = self.permitted(question, request.map_err(|error| self.not_understood(&error))?)?;
+        Ok(self.memory.enqueue(request.updates, request.sent_ns))
+    }
+
+    fn sealed<T: Payload>(&self, content: &T) -> Response {
+        wire::seal(content).map_err(|error| self.not_understood(&error))
     }
 
     async fn send(&self, question: &IncomingQuery, answer: Response) {
@@ -225,11 +221,6 @@ impl ServedMemory {
         }
     }
 
-    /// Runs a function that may block on a disk, if there is one.
-    fn waiting_for_disk<T>(&self, act: impl FnOnce() -> T) -> T {
-        if self.memory.has_backing() { tokio::task::block_in_place(act) } else { act() }
-    }
-
     fn not_understood(&self, error: &armarium_bus::CodecError) -> MemoryError {
         unreachable_memory(&self.agent, &error.to_string())
     }
@@ -249,9 +240,21 @@ impl ServedMemory {
     async fn take_updates(self, mut updates: Subscription) {
         let mut dropped = 0;
         while let Some(message) = updates.next().await {
-            if let Err(error) = self.take_update(&message) {
-                let sender = self.session.sender(message.sender.as_deref()).await;
-                self.refusals.note(&sender, &message.key, &error);
+            let mut next = Some(message);
+            let mut begun = Vec::new();
+            while let Some(message) = next {
+                begun.push((self.begin_update(&message), message));
+                next = if begun.len() < MAX_GROUP { updates.try_next() } else { None };
+            }
+            for (begun, message) in begun {
+                let result = match begun {
+                    Ok(versions) => versions.await,
+                    Err(error) => Err(error),
+                };
+                if let Err(error) = result {
+                    let sender = self.session.sender(message.sender.as_deref()).await;
+                    self.refusals.note(&sender, &message.key, &error);
+                }
             }
             // Logged whenever the count has doubled, so that a flood gives few lines.
             if updates.dropped() > 2 * dropped {
@@ -261,7 +264,10 @@ impl ServedMemory {
         }
     }
 
-    fn take_update(&self, message: &Message) -> Result<(), MemoryError> {
+    fn begin_update(
+        &self,
+        message: &Message,
+    ) -> Result<impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<>, MemoryError> {
         let not_understood = |what: String| unreachable_memory(&self.agent, &what);
         let update: Commit =
             wire::open(&message.encoding, &message.payload).map_err(|e| not_understood(e.to_string()))?;
@@ -269,8 +275,7 @@ impl ServedMemory {
             return Err(not_understood(format!("the update is of `{}`, not of its key", update.id)));
         }
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
-        self.waiting_for_disk(|| self.memory.commit_sent(vec![update], sent_ns))?;
-        Ok(())
+        Ok(self.memory.enqueue(vec![update], sent_ns))
     }
 }
 

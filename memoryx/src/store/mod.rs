@@ -219,7 +219,7 @@ impl LongTermMemory {
             Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
         loop {
             let found = self.query(&query)?;
-            let Some(last) = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version }) else {
+            let Some(last) = found.last().map(|s| Cursor::after(s)) else {
                 break;
             };
             let is_cut = query.is_filled_by(&found);

@@ -296,14 +296,14 @@ impl LongTermMemory {
     pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
         let asked = query.check().map_err(query_error)?;
         self.read(|reader| {
-            let mut answer = asked.answer();
+            let mut answer = asked.answer(&|| true);
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
                 if asked.wants(&entity.id) {
                     reader.select(&asked, &entity, &mut answer)?;
                 }
                 Ok(!answer.is_full())
             })?;
-            Ok(answer.finish())
+            Ok(answer.finish().map_err(query_error)?.snapshots)
         })
     }
 

@@ -1,46 +1,54 @@
-//! The content of a working memory: histories, found by address in constant time, and iterated in the order of
-//! addresses.
+//! The content of a working memory at one moment. It is immutable once published: the next commit changes a copy, which
+//! shares everything but what has changed. So a reader keeps the moment that it has, and nobody waits for anybody.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::mem::size_of;
-use std::ops::Add;
+use std::ops::Bound::{Included, Unbounded};
+use std::ops::{Add, Sub};
 use std::sync::Arc;
 
 use armarium_values::Value;
-use indexmap::IndexMap;
+use imbl::{OrdMap, OrdSet, Vector};
 
 use crate::checked_query::{CheckedQuery, Selection};
 use crate::entity::{EntityId, Instance, Snapshot};
 
 /// Overhead of one allocation, bytes, about.
 const ALLOCATION_BYTES: usize = 16;
-/// Number of recent changes whose arrival time and entity are remembered.
-const MAX_ARRIVALS: usize = 1 << 17;
+/// How many of a core segment's recent changes are remembered: so many of each entity, and so many more.
+const ARRIVALS_PER_ENTITY: usize = 4;
+const MORE_ARRIVALS: usize = 4096;
 
-/// Removed entities are forgotten when at least this many exist; only those that were removed at least this long ago,
-/// ns, so that followers have seen the removal.
+/// Removed entities are forgotten when at least this many exist, so many per snapshot that is inserted; only those that
+/// were removed at least this long ago, ns, so that followers have seen the removal.
 const MIN_REMOVED: usize = 4096;
+const FORGOTTEN_PER_SNAPSHOT: usize = 4;
 const FORGET_AFTER_NS: u64 = 60_000_000_000;
 
-#[derive(Default)]
+/// Everything that a working memory holds. A copy costs a few counters.
+#[derive(Clone, Default)]
 pub(super) struct Content {
-    /// By address. Positions are stable until [`Content::forget_removed`].
-    histories: IndexMap<EntityId, History>,
-    /// The positions of each core segment's addresses.
-    segments: BTreeMap<String, BTreeMap<EntityId, usize>>,
-    pub(super) read_only: BTreeSet<(String, String)>,
-    bytes: u64,
+    segments: OrdMap<Arc<str>, Segment>,
+    /// What is read-only: core segment and provider segment.
+    read_only: OrdSet<(Arc<str>, Arc<str>)>,
+    all: Usage,
     /// What each owner takes.
-    usage: BTreeMap<String, Usage>,
-    /// The newest changes in order: arrival time, ns, and position of the entity. So a reader that missed a few
-    /// changes finds exactly those.
-    arrivals: VecDeque<(u64, usize)>,
+    usage: OrdMap<Arc<str>, Usage>,
+    /// The removed entities by arrival time, ns.
+    removed: OrdSet<(u64, EntityId)>,
+}
+
+#[derive(Clone, Default)]
+struct Segment {
+    entities: OrdMap<EntityId, History>,
+    /// The newest changes in order: arrival time, ns, and entity. So a reader that missed a few changes finds exactly
+    /// those.
+    arrivals: Vector<(u64, EntityId)>,
     /// The arrival time of the newest change that was dropped from `arrivals`, ns.
     forgotten_until: u64,
-    /// The number of removed entities, and the number of them at which the next [`Content::forget_removed`] runs.
-    gone: usize,
-    crowded: usize,
 }
+
+/// The snapshots of one entity, the newest last; never empty.
+type History = Arc<[Arc<Snapshot>]>;
 
 /// A part of a memory's capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,30 +65,48 @@ impl Add for Usage {
     }
 }
 
+impl Sub for Usage {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        Self {
+            entities: self.entities.saturating_sub(other.entities),
+            bytes: self.bytes.saturating_sub(other.bytes),
+        }
+    }
+}
+
 /// The owner of an entity's provider segment: the segment's name up to the first dot.
 pub(super) fn owner(id: &EntityId) -> &str {
     id.provider().split('.').next().unwrap_or_default()
 }
 
-/// The snapshots of one entity. Most queries need the newest only.
-struct History {
-    newest: Arc<Snapshot>,
-    older: VecDeque<Arc<Snapshot>>,
-}
+impl Segment {
+    /// Appends a change, and drops the oldest when there are too many.
+    fn note_arrival(&mut self, snapshot: &Snapshot) {
+        // A snapshot from a store may have arrived long ago; taking the last arrival time keeps the order.
+        let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
+        self.arrivals.push_back((snapshot.arrived_ns.max(last), snapshot.id.clone()));
+        if self.arrivals.len() > ARRIVALS_PER_ENTITY * self.entities.len() + MORE_ARRIVALS
+            && let Some((arrived_ns, _)) = self.arrivals.pop_front()
+        {
+            self.forgotten_until = arrived_ns;
+        }
+    }
 
-impl History {
-    fn iter(&self) -> impl DoubleEndedIterator<Item = Arc<Snapshot>> {
-        self.older.iter().chain(std::iter::once(&self.newest)).cloned()
+    /// The entities that changed since the query's `arrived_since`, in order of address; `None` when the query has
+    /// none, or the changes since then are no longer remembered.
+    fn arrived(&self, asked: &CheckedQuery<'_>) -> Option<OrdSet<EntityId>> {
+        let since = asked.query().arrived_since.filter(|since| *since > self.forgotten_until)?;
+        let newest_first = self.arrivals.iter().rev();
+        Some(newest_first.take_while(|(arrived, _)| *arrived >= since).map(|(_, id)| id.clone()).collect())
     }
 }
 
 impl Content {
-    pub(super) fn len(&self) -> usize {
-        self.histories.len()
-    }
-
-    pub(super) fn bytes(&self) -> u64 {
-        self.bytes
+    /// What the whole memory takes.
+    pub(super) fn all(&self) -> Usage {
+        self.all
     }
 
     /// What an owner's provider segments take.
@@ -88,171 +114,119 @@ impl Content {
         self.usage.get(owner).copied().unwrap_or_default()
     }
 
+    fn history(&self, id: &EntityId) -> Option<&History> {
+        self.segments.get(id.segment())?.entities.get(id)
+    }
+
     /// How many bytes the next snapshot of an entity drops from its history, if `keep` snapshots are held.
     pub(super) fn freed(&self, id: &EntityId, keep: usize) -> u64 {
-        let Some(history) = self.histories.get(id) else { return 0 };
-        let is_full = history.older.len() + 1 >= keep;
-        let oldest = history.older.front().unwrap_or(&history.newest);
-        if is_full { oldest.bytes() } else { 0 }
+        let history = self.history(id).filter(|history| history.len() >= keep);
+        history.and_then(|history| history.first()).map_or(0, |oldest| oldest.bytes())
     }
 
     pub(super) fn newest(&self, id: &EntityId) -> Option<&Arc<Snapshot>> {
-        self.histories.get(id).map(|history| &history.newest)
+        self.history(id)?.last()
+    }
+
+    pub(super) fn protect(&mut self, segment: &str, provider: &str) {
+        self.read_only.insert((segment.into(), provider.into()));
     }
 
     pub(super) fn is_read_only(&self, id: &EntityId) -> bool {
-        !self.read_only.is_empty()
-            && self.read_only.iter().any(|(s, p)| s == id.segment() && p == id.provider())
+        self.read_only.iter().any(|(s, p)| **s == *id.segment() && **p == *id.provider())
     }
 
-    /// A query's answer, in order of address, then version.
-    pub(super) fn select(&self, asked: &CheckedQuery<'_>) -> Vec<Arc<Snapshot>> {
-        let mut answer = asked.answer();
+    /// Adds a query's selection to `answer`, in order of address, then version.
+    pub(super) fn select(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) {
         if let Some(id) = asked.query().pattern.exact() {
-            if let Some(history) = self.histories.get(&id).filter(|_| asked.wants(&id)) {
-                answer.extend(asked.select(history.iter()));
+            if let Some(history) = self.history(&id) {
+                answer.consider(&id, || history.iter().cloned());
             }
-        } else if let Some(places) = self.arrived(asked) {
-            for (id, place) in places {
-                if !self.add(asked, id, place, &mut answer) {
-                    break;
-                }
-            }
-        } else {
-            self.add_all(asked, &mut answer);
+            return;
         }
-        answer.finish()
+        let one = asked.query().pattern.exact_segment();
+        let first = asked.query().after.as_ref().map(|after| &after.id);
+        let from = one.or(first.map(EntityId::segment)).map_or(Unbounded, Included);
+        for (_, segment) in self.segments.range::<_, str>((from, one.map_or(Unbounded, Included))) {
+            let mut consider =
+                |id: &EntityId, history: &History| answer.consider(id, || history.iter().cloned());
+            let goes_on = match segment.arrived(asked) {
+                Some(ids) => {
+                    ids.iter().all(|id| segment.entities.get(id).is_none_or(|held| consider(id, held)))
+                }
+                None => {
+                    let from = (first.map_or(Unbounded, Included), Unbounded);
+                    segment.entities.range::<_, EntityId>(from).all(|(id, history)| consider(id, history))
+                }
+            };
+            if !goes_on {
+                return;
+            }
+        }
     }
 
     /// The versions of one entity that a query selects, ignoring the bounds of the whole answer.
     pub(super) fn versions(&self, asked: &CheckedQuery<'_>, id: &EntityId) -> Vec<u64> {
-        let history = self.histories.get(id).into_iter();
-        history.flat_map(|history| asked.select(history.iter())).map(|snapshot| snapshot.version).collect()
-    }
-
-    fn add_all(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) {
-        let one = asked.query().pattern.exact_segment();
-        let segments = self.segments.iter().filter(|(name, _)| one.is_none_or(|one| one == name.as_str()));
-        for (_, entities) in segments {
-            let first = asked.query().after.as_ref().map(|after| &after.id);
-            let range = first.map_or_else(|| entities.range::<EntityId, _>(..), |id| entities.range(id..));
-            for (id, place) in range {
-                if !self.add(asked, id, *place, answer) {
-                    return;
-                }
-            }
-        }
-    }
-
-    /// Adds a query's selection from one entity to `answer`. Returns false when the answer was full already.
-    fn add(&self, asked: &CheckedQuery<'_>, id: &EntityId, place: usize, answer: &mut Selection<'_>) -> bool {
-        if answer.is_full() {
-            return false;
-        }
-        if let Some((_, history)) = self.histories.get_index(place).filter(|_| asked.wants(id)) {
-            answer.extend(asked.select(history.iter()));
-        }
-        true
-    }
-
-    /// The entities that changed since the query's `arrived_since`, in order of address; `None` when the query has
-    /// none, or the changes since then are no longer remembered.
-    fn arrived(&self, asked: &CheckedQuery<'_>) -> Option<BTreeMap<&EntityId, usize>> {
-        let since = asked.query().arrived_since.filter(|since| *since > self.forgotten_until)?;
-        let first = self.arrivals.partition_point(|(arrived_ns, _)| *arrived_ns < since);
-        let entity = |(_, place): &(u64, usize)| Some((self.histories.get_index(*place)?.0, *place));
-        Some(self.arrivals.range(first..).filter_map(entity).collect())
+        let history = self.history(id).into_iter();
+        let selected = history.flat_map(|history| asked.select(history.iter().cloned()));
+        selected.map(|snapshot| snapshot.version).collect()
     }
 
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
-        let (mut freed, mut entities) = (0, 0);
-        let mut was_gone = false;
-        let place = match self.histories.get_full_mut(&snapshot.id) {
-            Some((place, _, history)) => {
-                let before = std::mem::replace(&mut history.newest, Arc::clone(snapshot));
-                was_gone = before.is_removed();
-                history.older.push_back(before);
-                while history.older.len() >= keep {
-                    if let Some(old) = history.older.pop_front() {
-                        freed += old.bytes();
-                    }
-                }
-                place
-            }
-            None => {
-                entities = 1;
-                self.put_in_new(snapshot)
-            }
-        };
-        self.gone = self.gone + usize::from(snapshot.is_removed()) - usize::from(was_gone);
-        let bytes = snapshot.bytes();
-        self.bytes = (self.bytes + bytes).saturating_sub(freed);
-        let owner = owner(&snapshot.id);
-        if !self.usage.contains_key(owner) {
-            self.usage.insert(owner.into(), Usage::default());
+        let id = &snapshot.id;
+        if !self.segments.contains_key(id.segment()) {
+            self.segments.insert(id.segment().into(), Segment::default());
         }
-        if let Some(usage) = self.usage.get_mut(owner) {
-            usage.entities += entities;
-            usage.bytes = (usage.bytes + bytes).saturating_sub(freed);
+        let Some(segment) = self.segments.get_mut(id.segment()) else { return };
+        let held = segment.entities.get(id).cloned().unwrap_or_default();
+        let (dropped, stays) = held.split_at((held.len() + 1).saturating_sub(keep));
+        let freed = Usage { entities: 0, bytes: dropped.iter().map(|snapshot| snapshot.bytes()).sum() };
+        let more = Usage { entities: usize::from(held.is_empty()), bytes: snapshot.bytes() };
+        if let Some(before) = held.last().filter(|before| before.is_removed()) {
+            self.removed.remove(&(before.arrived_ns, id.clone()));
         }
-        if self.arrivals.len() == MAX_ARRIVALS {
-            let forgotten = self.arrivals.pop_front();
-            self.forgotten_until = forgotten.map_or(0, |(arrived_ns, _)| arrived_ns);
+        if snapshot.is_removed() {
+            self.removed.insert((snapshot.arrived_ns, id.clone()));
         }
-        // A snapshot from a store may have arrived long ago; taking the last arrival time keeps the order.
-        let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
-        self.arrivals.push_back((snapshot.arrived_ns.max(last), place));
+        let history = stays.iter().chain(std::iter::once(snapshot)).cloned().collect();
+        segment.entities.insert(id.clone(), history);
+        segment.note_arrival(snapshot);
+        self.count(id, more, freed);
+        for _ in 0..FORGOTTEN_PER_SNAPSHOT {
+            self.forget_removed(snapshot.arrived_ns);
+        }
     }
 
-    /// Forgets entities that were removed long ago, when there are many. Their names are free again; their version
-    /// count continues if the backing has it, and restarts otherwise.
-    pub(super) fn forget_removed(&mut self) {
-        if self.gone < self.crowded.max(MIN_REMOVED).max(self.histories.len() / 8) {
+    fn count(&mut self, id: &EntityId, more: Usage, less: Usage) {
+        self.all = self.all + more - less;
+        let usage = self.usage(owner(id)) + more - less;
+        if usage == Usage::default() {
+            self.usage.remove(owner(id));
+        } else if let Some(known) = self.usage.get_mut(owner(id)) {
+            *known = usage;
+        } else {
+            self.usage.insert(owner(id).into(), usage);
+        }
+    }
+
+    /// Forgets the entity that was removed first, when there are many. Its name is free again; its version count
+    /// continues if the backing has it, and restarts otherwise.
+    fn forget_removed(&mut self, now_ns: u64) {
+        if self.removed.len() < MIN_REMOVED.max(self.all.entities / 8) {
             return;
         }
-        let newest = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
-        let is_over = |history: &History| {
-            history.newest.is_removed() && history.newest.arrived_ns.saturating_add(FORGET_AFTER_NS) < newest
-        };
-        let mut places = Vec::with_capacity(self.histories.len());
-        let mut stays = 0;
-        for (id, history) in &self.histories {
-            places.push((!is_over(history)).then_some(stays));
-            if !is_over(history) {
-                stays += 1;
-                continue;
-            }
-            self.gone -= 1;
-            let bytes: u64 = history.iter().map(|snapshot| snapshot.bytes()).sum();
-            self.bytes = self.bytes.saturating_sub(bytes);
-            if let Some(usage) = self.usage.get_mut(owner(id)) {
-                usage.entities = usage.entities.saturating_sub(1);
-                usage.bytes = usage.bytes.saturating_sub(bytes);
-            }
+        let is_over =
+            |(arrived_ns, _): &&(u64, EntityId)| arrived_ns.saturating_add(FORGET_AFTER_NS) < now_ns;
+        let Some(oldest) = self.removed.get_min().filter(is_over).cloned() else { return };
+        self.removed.remove(&oldest);
+        let (_, id) = oldest;
+        let Some(segment) = self.segments.get_mut(id.segment()) else { return };
+        let history = segment.entities.remove(&id);
+        if segment.entities.is_empty() {
+            self.segments.remove(id.segment());
         }
-        self.histories.retain(|_, history| !is_over(history));
-        let moved = |place: &mut usize| match places.get(*place) {
-            Some(Some(to)) => {
-                *place = *to;
-                true
-            }
-            _ => false,
-        };
-        self.segments.values_mut().for_each(|entities| entities.retain(|_, place| moved(place)));
-        self.arrivals.retain_mut(|(_, place)| moved(place));
-        self.crowded = 2 * self.gone;
-    }
-
-    fn put_in_new(&mut self, snapshot: &Arc<Snapshot>) -> usize {
-        let history = History { newest: Arc::clone(snapshot), older: VecDeque::new() };
-        let (place, _) = self.histories.insert_full(snapshot.id.clone(), history);
-        if !self.segments.contains_key(snapshot.id.segment()) {
-            self.segments.insert(snapshot.id.segment().into(), BTreeMap::new());
-        }
-        if let Some(segment) = self.segments.get_mut(snapshot.id.segment()) {
-            segment.insert(snapshot.id.clone(), place);
-        }
-        place
+        let bytes = history.iter().flat_map(|history| history.iter()).map(|snapshot| snapshot.bytes()).sum();
+        self.count(&id, Usage::default(), Usage { entities: 1, bytes });
     }
 }
 

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Archive, WorkingMemory};
-use crate::checked_query::{CheckedQuery, Selection, versions_between};
+use super::{Archive, Core};
+use crate::checked_query::{Answer, CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
@@ -20,35 +20,42 @@ type Histories = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
 
 /// Working memory and everything that was ever stored.
 pub(super) struct MergedView<'m> {
-    pub(super) memory: &'m WorkingMemory,
+    /// Working memory, as it is when each part is read.
+    pub(super) memory: &'m Core,
     pub(super) kept: &'m dyn Archive,
+    /// Most snapshots of a part.
+    pub(super) part: usize,
 }
 
 impl MergedView<'_> {
-    /// Answers a query.
-    pub(super) fn ask(&self, asked: &CheckedQuery<'_>) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+    /// Answers a query, or the part of it for which `goes_on` allows the time.
+    pub(super) fn ask(
+        &self,
+        asked: &CheckedQuery<'_>,
+        goes_on: &dyn Fn() -> bool,
+    ) -> Result<Answer, MemoryError> {
         let query = asked.query();
-        let mut answer = asked.answer();
+        let mut answer = asked.answer(goes_on);
         let is_counted = query.limit.is_some() || matches!(query.times, Times::Index(..));
         match query.limit {
             Some(0) => {}
             _ if is_counted && !is_one(query.times) => self.add_entities(asked, &mut answer)?,
             _ => self.add(asked, &mut answer)?,
         }
-        Ok(answer.finish())
+        answer.finish()
     }
 
     /// Adds the selection from each snapshot; for queries of one snapshot per entity, from the newest one of both
     /// memories.
     fn add(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
-        let mut wide = wider(asked.query(), self.memory.part);
+        let mut wide = wider(asked.query(), self.part);
         loop {
             let (known, end) = self.part(&wide)?;
             for (_, history) in known.into_iter().filter(|(id, _)| asked.wants(id)) {
                 answer.extend(asked.select(history.into_values()));
             }
             match end {
-                Some(end) if !answer.is_full() => wide.after = Some(end),
+                Some(end) if answer.looks_on(|| end.clone()) => wide.after = Some(end),
                 _ => return Ok(()),
             }
         }
@@ -57,7 +64,10 @@ impl MergedView<'_> {
     /// A part of both memories' content, and its end if there is more.
     fn part(&self, wide: &Query) -> Result<(Histories, Option<Cursor>), MemoryError> {
         let recalled = self.kept.recall(wide)?;
-        let held = self.memory.read().select(&wide.check()?);
+        let wide_checked = wide.check()?;
+        let mut held = wide_checked.answer(&|| true);
+        self.memory.content().select(&wide_checked, &mut held);
+        let held = held.finish()?.snapshots;
         let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
         // Past the end of a truncated part not everything is known: the next part begins there.
         let end = cut.filter_map(|part| part.last()).map(|last| place(last, wide)).min();
@@ -77,12 +87,12 @@ impl MergedView<'_> {
             return if asked.wants(&id) { self.add_entity(asked, &id, answer) } else { Ok(()) };
         }
         let newest = Query { after: query.after.clone(), ..Query::latest(query.pattern.clone()) };
-        let mut newest = wider(&newest, self.memory.part);
+        let mut newest = wider(&newest, self.part);
         loop {
             let (known, end) = self.part(&newest)?;
             for id in known.keys().filter(|id| asked.wants(id)) {
                 self.add_entity(asked, id, answer)?;
-                if answer.is_full() {
+                if !answer.looks_on(|| Cursor::behind(id)) {
                     return Ok(());
                 }
             }
@@ -131,7 +141,7 @@ impl MergedView<'_> {
         n: usize,
         backwards: bool,
     ) -> Result<Option<u64>, MemoryError> {
-        let mut held = self.memory.read().versions(asked, id);
+        let mut held = self.memory.content().versions(asked, id);
         if backwards {
             held.reverse();
         }

@@ -4,31 +4,34 @@
 //! - Typed core segments are checked, others are not ([`SegmentSchema`]).
 //! - A [`Backing`] makes commits durable before they are acknowledged, and knows the version numbers of entities that
 //!   this memory does not hold.
-//! - Writers wait for each other; those that wait together are made durable by one write of the backing. Readers wait
-//!   only while new snapshots are inserted, never for the backing.
+//! - Its content is immutable; a commit replaces it by the next one, which shares what has not changed. So readers and
+//!   writers never wait for each other.
+//! - With a backing, one thread commits; requests that wait together are made durable by one write.
 //! - Its content is bounded: entities, history, bytes, and how far in the future data may be.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock, mpsc};
 
 use async_trait::async_trait;
-use tokio::sync::broadcast;
+use parking_lot::{Mutex, RwLock};
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::sync::{broadcast, oneshot};
 
+use crate::checked_query::Answer;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
 use crate::query::Query;
 use crate::schema::{SegmentSchema, core_segments};
 
+mod committing;
 mod content;
-mod group_commit;
 mod merged_view;
 
-use content::{Content, Usage};
-use group_commit::{GroupVersions, Request};
+use committing::{CommittingThread, Request};
+use content::Content;
 use merged_view::MergedView;
-use parking_lot::{Mutex, RwLock};
 
 /// Returns the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
@@ -71,7 +74,7 @@ impl MemoryLimits {
     }
 }
 
-/// The storage behind a working memory, which is called before a commit is acknowledged.
+/// The storage behind a working memory, which is called before a commit is acknowledged, by the thread that commits.
 pub trait Backing: Send + Sync {
     /// The newest version ever assigned to an entity that is not in working memory; 0 if there is none.
     ///
@@ -116,49 +119,72 @@ pub trait Archive {
 
 /// The memory of one agent, in this process.
 pub struct WorkingMemory {
+    core: Arc<Core>,
+    /// Most snapshots in one query to the backing.
+    part: usize,
+    /// Started by the first commit, if there is a backing.
+    thread: OnceLock<Result<CommittingThread, MemoryError>>,
+}
+
+/// What readers and the committing thread share.
+struct Core {
     clock: Clock,
     limits: MemoryLimits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
-    /// Most snapshots in one query to the backing.
-    part: usize,
     changes: broadcast::Sender<Arc<Snapshot>>,
-    /// Commits that wait for the committing thread.
-    waiting: Mutex<Vec<Request>>,
-    /// Locked by the committing thread, also during the backing's write; the last arrival time, ns.
-    commit_lock: Mutex<u64>,
-    content: RwLock<Content>,
+    /// Locked by whoever commits, also during the backing's write; the last arrival time, ns.
+    writer: Mutex<u64>,
+    /// The present content. The lock is held only while the pointer is copied or replaced.
+    content: RwLock<Arc<Content>>,
+}
+
+/// The versions that a commit has made.
+type CommitResult = Result<Vec<u64>, MemoryError>;
+
+impl Core {
+    fn now_ns(&self) -> u64 {
+        (self.clock)()
+    }
+
+    fn content(&self) -> Arc<Content> {
+        Arc::clone(&self.content.read())
+    }
 }
 
 impl WorkingMemory {
     /// An empty memory with the standard core segments and [`MemoryLimits::default`].
     pub fn new(clock: Clock) -> Self {
         let limits = MemoryLimits::default();
-        Self {
+        let core = Core {
             clock,
             limits,
             schemas: core_segments(),
             backing: None,
-            part: merged_view::MAX_PART,
             changes: broadcast::channel(limits.backlog).0,
-            waiting: Mutex::default(),
-            commit_lock: Mutex::new(0),
+            writer: Mutex::new(0),
             content: RwLock::default(),
-        }
+        };
+        Self { core: Arc::new(core), part: merged_view::MAX_PART, thread: OnceLock::new() }
     }
 
-    /// The same memory with other limits. To be called before anyone subscribes.
+    fn building(&mut self) -> &mut Core {
+        Arc::get_mut(&mut self.core).expect("nothing is committed while a memory is put together")
+    }
+
+    /// The same memory with other limits. To be called before anyone subscribes or commits.
     #[must_use]
     pub fn with_limits(mut self, limits: MemoryLimits) -> Self {
-        self.limits = MemoryLimits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
-        self.changes = broadcast::channel(limits.backlog.clamp(1, 1 << 24)).0;
+        let core = self.building();
+        core.limits = MemoryLimits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
+        core.changes = broadcast::channel(limits.backlog.clamp(1, 1 << 24)).0;
         self
     }
 
-    /// The same memory with storage behind it.
+    /// The same memory with storage behind it. To be called before anyone commits.
     #[must_use]
     pub fn with_backing(mut self, backing: Arc<dyn Backing>) -> Self {
-        self.backing = Some(backing);
+        self.building().backing = Some(backing);
         self
     }
 
@@ -171,27 +197,22 @@ impl WorkingMemory {
 
     /// The typed core segments by name.
     pub fn schemas(&self) -> &BTreeMap<String, SegmentSchema> {
-        &self.schemas
+        &self.core.schemas
     }
 
     /// The memory's time, ns.
     pub fn now_ns(&self) -> u64 {
-        (self.clock)()
-    }
-
-    /// Whether a backing stores its commits, so that they may take as long as a disk.
-    pub fn has_backing(&self) -> bool {
-        self.backing.is_some()
+        self.core.now_ns()
     }
 
     /// How many entities it holds, removed ones included.
     pub fn len(&self) -> usize {
-        self.read().len()
+        self.core.content().all().entities
     }
 
     /// The size of its snapshots, bytes, about.
     pub fn bytes(&self) -> u64 {
-        self.read().bytes()
+        self.core.content().all().bytes
     }
 
     /// Whether it is empty.
@@ -199,7 +220,7 @@ impl WorkingMemory {
         self.len() == 0
     }
 
-    /// [`Memory::commit`] without async: blocks only as long as the backing does.
+    /// [`Memory::commit`] without async: blocks the thread as long as the backing takes.
     ///
     /// # Errors
     /// As [`Memory::commit`].
@@ -213,31 +234,56 @@ impl WorkingMemory {
     /// # Errors
     /// As [`Memory::commit`].
     pub fn commit_sent(&self, updates: Vec<Commit>, sent_ns: u64) -> Result<Vec<u64>, MemoryError> {
-        self.write_one(updates, sent_ns, false)
+        self.commit_waiting(updates, sent_ns, false)
     }
 
-    /// Several commits at once: each is accepted or refused individually, and the accepted ones are made durable
-    /// together.
-    pub fn commit_group(&self, commits: Vec<(Vec<Commit>, u64)>) -> Vec<Result<Vec<u64>, MemoryError>> {
-        let request = |(updates, sent_ns)| (updates, sent_ns, false);
-        self.write(commits.into_iter().map(request).collect())
+    /// Takes updates that were sent at `sent_ns` into the order of commits at once. The future gives their versions when
+    /// they are durable and visible; dropping it does not withdraw them.
+    pub fn enqueue(
+        &self,
+        updates: Vec<Commit>,
+        sent_ns: u64,
+    ) -> impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<> {
+        let (sender, answered) = oneshot::channel();
+        let answer = Box::new(|result| drop(sender.send(result)));
+        self.request(Request { updates, sent_ns, prior: false, answer });
+        async { answered.await.unwrap_or_else(|_| Err(ended())) }
     }
 
     /// Makes a provider segment read-only: prior knowledge.
     pub fn protect(&self, segment: &str, provider: &str) {
-        let mut content = self.content.write();
-        content.read_only.insert((segment.into(), provider.into()));
+        let _alone = self.core.writer.lock();
+        let mut next = Content::clone(&self.core.content());
+        next.protect(segment, provider);
+        self.core.publish(next, &[]);
     }
 
     /// Whether an entity is in a read-only provider segment.
     pub fn is_read_only(&self, id: &EntityId) -> bool {
-        self.read().is_read_only(id)
+        self.core.content().is_read_only(id)
     }
 
     /// Commits, also into read-only provider segments.
     pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
         let now = self.now_ns();
-        self.write_one(updates, now, true)
+        self.commit_waiting(updates, now, true)
+    }
+
+    fn commit_waiting(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
+        let (sender, answered) = mpsc::sync_channel(1);
+        let answer = Box::new(move |result| drop(sender.send(result)));
+        self.request(Request { updates, sent_ns, prior, answer });
+        answered.recv().unwrap_or_else(|_| Err(ended()))
+    }
+
+    fn request(&self, request: Request) {
+        if self.core.backing.is_none() {
+            return self.core.commit_together(vec![request]);
+        }
+        match self.thread.get_or_init(|| CommittingThread::start(Arc::clone(&self.core))) {
+            Ok(thread) => thread.commit(request),
+            Err(error) => (request.answer)(Err(error.clone())),
+        }
     }
 
     /// Checks that a snapshot with its version, which comes from elsewhere, is valid in this memory.
@@ -246,38 +292,32 @@ impl WorkingMemory {
     /// [`MemoryError::Store`] for an invalid version; [`MemoryError::Schema`] and [`MemoryError::Confidence`].
     pub fn check_kept(&self, snapshot: &Snapshot) -> Result<(), MemoryError> {
         snapshot.check_version()?;
-        self.check(&snapshot.id, &snapshot.instances)
+        self.core.check(&snapshot.id, &snapshot.instances)
     }
 
     /// Inserts snapshots from a store, with their versions and times. Entities that this memory has in the same or a
     /// newer version stay; invalid snapshots are left out, and remain in the store only. Returns how many were
     /// inserted, and why the first one was left out. The backing is not called, because it is the source.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
-        let _one_writer = self.commit_lock.lock();
-        let content = self.read();
-        let (mut room, mut restored) = (GroupVersions::default(), BTreeSet::new());
+        let _alone = self.core.writer.lock();
+        let mut next = Content::clone(&self.core.content());
         let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
         for snapshot in snapshots {
-            let newest = content.newest(&snapshot.id).map_or(0, |s| s.version);
+            let newest = next.newest(&snapshot.id).map_or(0, |s| s.version);
             if snapshot.version <= newest {
                 continue;
             }
-            let is_new = newest == 0 && !restored.contains(&snapshot.id);
-            let put = (&snapshot.id, snapshot.instances.as_slice());
-            let fits = self.check_kept(&snapshot);
-            match fits.and_then(|()| self.check_room(&content, &room, put, is_new, None)) {
-                Ok(bytes) => {
-                    room.take(None, Usage { entities: usize::from(is_new), bytes });
-                    restored.insert(snapshot.id.clone());
+            let room = || self.core.check_room(&next, &snapshot.id, &snapshot.instances, newest == 0, None);
+            match self.check_kept(&snapshot).and_then(|()| room()) {
+                Ok(()) => {
+                    next.put_in(&snapshot, self.core.limits.history);
                     fitting.push(snapshot);
                 }
                 Err(error) => refused = refused.or(Some(error)),
             }
         }
-        drop(content);
-        let count = fitting.len();
-        self.put_in(fitting);
-        (count, refused)
+        self.core.publish(next, &fitting);
+        (fitting.len(), refused)
     }
 
     /// [`Memory::latest`] without async.
@@ -285,7 +325,8 @@ impl WorkingMemory {
     /// # Errors
     /// [`MemoryError::NotFound`] when there is none.
     pub fn latest_now(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
-        let found = self.read().newest(id).filter(|s| !s.is_removed()).cloned();
+        let content = self.core.content();
+        let found = content.newest(id).filter(|s| !s.is_removed()).cloned();
         found.ok_or_else(|| MemoryError::NotFound { id: id.to_string() })
     }
 
@@ -294,23 +335,40 @@ impl WorkingMemory {
     /// # Errors
     /// As [`Memory::query`].
     pub fn query_now(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        let asked = query.check()?;
-        let kept = self.backing.as_ref().filter(|_| query.long_term).and_then(|backing| backing.archive());
-        match kept {
-            Some(kept) => MergedView { memory: self, kept }.ask(&asked),
-            None => Ok(self.read().select(&asked)),
-        }
+        Ok(self.query_while(query, &|| true)?.snapshots)
     }
 
-    fn read(&self) -> parking_lot::RwLockReadGuard<'_, Content> {
-        self.content.read()
+    /// [`Self::query_now`], but as soon as `goes_on` returns false, the answer ends, and says where. `goes_on` is called
+    /// every few entities.
+    ///
+    /// # Errors
+    /// As [`Memory::query`]; [`MemoryError::Query`] when a query for the nearest ends early.
+    pub fn query_while(&self, query: &Query, goes_on: &dyn Fn() -> bool) -> Result<Answer, MemoryError> {
+        let asked = query.check()?;
+        let kept = self.core.backing.as_ref().filter(|_| query.long_term).and_then(|b| b.archive());
+        if let Some(kept) = kept {
+            return MergedView { memory: &self.core, kept, part: self.part }.ask(&asked, goes_on);
+        }
+        let mut answer = asked.answer(goes_on);
+        self.core.content().select(&asked, &mut answer);
+        answer.finish()
     }
+}
+
+fn ended() -> MemoryError {
+    MemoryError::Store { what: "the thread that commits has ended".into() }
+}
+
+/// Whether the present runtime has one thread. In virtual time it has, and a run is repeatable only when nothing else
+/// happens while a commit is made; so who commits then waits on this thread.
+fn has_one_thread() -> bool {
+    Handle::try_current().is_ok_and(|handle| handle.runtime_flavor() == RuntimeFlavor::CurrentThread)
 }
 
 #[async_trait]
 impl Memory for WorkingMemory {
     async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        self.commit_now(updates)
+        if has_one_thread() { self.commit_now(updates) } else { self.enqueue(updates, self.now_ns()).await }
     }
 
     async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
@@ -322,12 +380,12 @@ impl Memory for WorkingMemory {
     }
 
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
-        self.changes.subscribe()
+        self.core.changes.subscribe()
     }
 }
 
 impl fmt::Debug for WorkingMemory {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("WorkingMemory").field("limits", &self.limits).finish_non_exhaustive()
+        f.debug_struct("WorkingMemory").field("limits", &self.core.limits).finish_non_exhaustive()
     }
 }

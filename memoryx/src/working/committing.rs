@@ -1,0 +1,224 @@
+//! How commits are made: all requests that wait are numbered, stored together by the backing, and made visible. No reader
+//! sees a snapshot that the backing has not stored.
+//!
+//! With a backing, one thread does all this, so that no other thread waits for a disk. Without one, it takes
+//! microseconds, and whoever commits does it.
+
+use std::sync::Arc;
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+
+use super::content::{Content, Usage, bytes_of, owner};
+use super::{CommitResult, Core};
+use crate::entity::{Commit, EntityId, Instance, Snapshot};
+use crate::error::MemoryError;
+use crate::schema::check_form;
+
+/// Most requests that are committed together.
+const MAX_GROUP: usize = 1024;
+
+/// Updates that are committed all or none.
+pub(super) struct Request {
+    pub(super) updates: Vec<Commit>,
+    pub(super) sent_ns: u64,
+    /// Whether they are prior knowledge.
+    pub(super) prior: bool,
+    /// Takes the result.
+    pub(super) answer: Box<dyn FnOnce(CommitResult) + Send>,
+}
+
+/// The thread that commits for a memory with a backing. Dropping it waits until it has answered everything.
+pub(super) struct CommittingThread {
+    requests: Option<mpsc::Sender<Request>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl CommittingThread {
+    /// # Errors
+    /// [`MemoryError::Store`] when the system gives no more threads.
+    pub(super) fn start(core: Arc<Core>) -> Result<Self, MemoryError> {
+        let (requests, waiting) = mpsc::channel::<Request>();
+        // In virtual time, whoever commits waits on his own thread, so that the clock waits with him.
+        let thread = std::thread::Builder::new().name("memory".into()).spawn(move || {
+            while let Ok(first) = waiting.recv() {
+                let more = waiting.try_iter().take(MAX_GROUP - 1);
+                core.commit_together(std::iter::once(first).chain(more).collect());
+            }
+        });
+        let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread for it: {e}") })?;
+        Ok(Self { requests: Some(requests), thread: Some(thread) })
+    }
+
+    pub(super) fn commit(&self, request: Request) {
+        // If the thread has ended, the request is dropped here, which its sender notices.
+        let _ = self.requests.as_ref().map(|requests| requests.send(request));
+    }
+}
+
+impl Drop for CommittingThread {
+    fn drop(&mut self) {
+        self.requests = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Core {
+    /// Commits requests together, and answers each.
+    pub(super) fn commit_together(&self, requests: Vec<Request>) {
+        let mut last_arrival = self.writer.lock();
+        // Arrival times never go back, even if the clock does.
+        *last_arrival = self.now_ns().max(*last_arrival);
+        let mut next = Content::clone(&self.content());
+        let (mut group, mut taken) = (Vec::new(), Vec::with_capacity(requests.len()));
+        for Request { updates, sent_ns, prior, answer } in requests {
+            let from = group.len();
+            match self.number(updates, (sent_ns, *last_arrival), prior, &mut next, &mut group) {
+                Ok(()) => taken.push((answer, from..group.len())),
+                Err(error) => answer(Err(error)),
+            }
+        }
+        if taken.is_empty() {
+            return;
+        }
+        let stored = self.backing.as_ref().filter(|_| !group.is_empty()).map_or(Ok(()), |b| b.take(&group));
+        if stored.is_ok() {
+            self.publish(next, &group);
+        }
+        drop(last_arrival);
+        for (answer, range) in taken {
+            let versions = group.get(range).unwrap_or_default().iter().map(|s| s.version).collect();
+            answer(stored.clone().map(|()| versions));
+        }
+    }
+
+    /// Makes content visible, and sends its new snapshots to subscribers in the same order.
+    pub(super) fn publish(&self, next: Content, new: &[Arc<Snapshot>]) {
+        let before = std::mem::replace(&mut *self.content.write(), Arc::new(next));
+        for snapshot in new {
+            // Having no receiver is not an error.
+            let _ = self.changes.send(Arc::clone(snapshot));
+        }
+        drop(before);
+    }
+
+    /// Checks updates, and adds numbered snapshots of them to `next` and `group`, which are unchanged after an error.
+    fn number(
+        &self,
+        updates: Vec<Commit>,
+        times: (u64, u64),
+        prior: bool,
+        next: &mut Content,
+        group: &mut Vec<Arc<Snapshot>>,
+    ) -> Result<(), MemoryError> {
+        let from = group.len();
+        // A single update changes nothing when it is refused.
+        let before = (updates.len() > 1).then(|| next.clone());
+        for update in updates {
+            match self.number_one(update, times, prior, next) {
+                Ok(snapshot) => {
+                    next.put_in(&snapshot, self.limits.history);
+                    group.push(snapshot);
+                }
+                Err(error) => {
+                    group.truncate(from);
+                    *next = before.unwrap_or_else(|| std::mem::take(next));
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn number_one(
+        &self,
+        update: Commit,
+        (sent_ns, arrived_ns): (u64, u64),
+        prior: bool,
+        next: &Content,
+    ) -> Result<Arc<Snapshot>, MemoryError> {
+        if !prior && next.is_read_only(&update.id) {
+            return Err(MemoryError::ReadOnly { id: update.id.to_string() });
+        }
+        self.check(&update.id, &update.instances)?;
+        self.check_time(&update, arrived_ns)?;
+        let newest = next.newest(&update.id);
+        let (version, is_gone) = match newest {
+            Some(newest) => (newest.version, newest.is_removed()),
+            None => (self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id))?, true),
+        };
+        expect(&update, if is_gone { 0 } else { version })?;
+        let owner = Some(owner(&update.id)).filter(|_| self.limits.shares > 1 && !prior);
+        self.check_room(next, &update.id, &update.instances, newest.is_none(), owner)?;
+        Ok(Arc::new(Snapshot {
+            id: update.id,
+            version: version.saturating_add(1),
+            referenced_ns: update.referenced_ns,
+            sent_ns,
+            arrived_ns,
+            instances: update.instances,
+        }))
+    }
+
+    pub(super) fn check(&self, id: &EntityId, instances: &[Instance]) -> Result<(), MemoryError> {
+        let schema = self.schemas.get(id.segment());
+        for instance in instances {
+            check_form(id, instance)?;
+            if let Some(schema) = schema {
+                schema.check(id, instance)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_time(&self, update: &Commit, now_ns: u64) -> Result<(), MemoryError> {
+        let ahead_ns = update.referenced_ns.saturating_sub(now_ns);
+        match self.limits.ahead_ns {
+            Some(most) if ahead_ns > most => {
+                Err(MemoryError::Future { id: update.id.to_string(), ahead_s: ahead_ns / 1_000_000_000 })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks that there is capacity for a snapshot in the whole memory and in its owner's share, if given. The snapshot
+    /// that drops out of the entity's history counts as freed. A removal is always accepted.
+    pub(super) fn check_room(
+        &self,
+        held: &Content,
+        id: &EntityId,
+        instances: &[Instance],
+        is_new: bool,
+        owner: Option<&str>,
+    ) -> Result<(), MemoryError> {
+        if instances.is_empty() && !is_new {
+            return Ok(());
+        }
+        let whole = Usage { entities: self.limits.entities, bytes: self.limits.bytes };
+        let shares = self.limits.shares;
+        let share =
+            Usage { entities: whole.entities / shares as usize, bytes: whole.bytes / u64::from(shares) };
+        let of_owner = owner.map(|owner| (held.usage(owner), share));
+        let bytes = bytes_of(id, instances);
+        for (taken, most) in std::iter::once((held.all(), whole)).chain(of_owner) {
+            if is_new && taken.entities >= most.entities {
+                return Err(MemoryError::Full { id: id.to_string(), entities: most.entities as u64 });
+            }
+            let is_over = taken.bytes + bytes > most.bytes;
+            if is_over && taken.bytes + bytes > most.bytes + held.freed(id, self.limits.history) {
+                return Err(MemoryError::TooLarge { id: id.to_string(), bytes, most: most.bytes });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn expect(update: &Commit, actual: u64) -> Result<(), MemoryError> {
+    match update.expected_version {
+        Some(expected) if expected != actual => {
+            Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual })
+        }
+        _ => Ok(()),
+    }
+}
