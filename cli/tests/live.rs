@@ -1,0 +1,245 @@
+//! The live page: what it answers, what it refuses, that it changes nothing of a run; and the page itself in a real browser.
+//!
+//! The browser is Debian's Chromium, driven by `playwright-core` (npm); `ARMARIUM_NODE_MODULES` names the folder of the npm packages. Without
+//! them these tests say that they were not run; with `ARMARIUM_COMPLETE` they fail.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use serde_json::Value as Json;
+
+#[path = "../../tests/src/outside.rs"]
+mod outside;
+
+/// Long enough for a browser to see it, and with states inside of states.
+const SWINGS: &str = "
+statechart: Swings
+initial: Begins
+locals: {times: 0}
+states:
+  Begins: {transitions: {always: Swing}}
+  Swing:
+    initial: There
+    states:
+      There: {skill: MoveJoints, with: {posture: wipe}, transitions: {success: Back}}
+      Back:
+        skill: MoveJoints
+        with: {posture: home}
+        exit: {assign: {locals.times: locals.times + 1}}
+        transitions: {success: There}
+    transitions: {enough: Done}
+    after: {90s: Done}
+  Done: {final: success}
+";
+const FAILS: &str = "
+statechart: Fails
+initial: Outer
+states:
+  Outer:
+    initial: Inner
+    states:
+      Inner: {skill: MoveTcpBy, with: {offset: [0 m, 0 m, 5 m]}}
+    transitions: {success: Done}
+  Done: {final: success}
+";
+
+/// A run with a page.
+struct Run {
+    child: Child,
+    url: String,
+    folder: tempfile::TempDir,
+    said: BufReader<std::process::ChildStderr>,
+}
+
+impl Run {
+    fn start(chart: &str, options: &[&str]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("chart.yaml");
+        std::fs::write(&file, chart).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+        command.arg("run").arg(&file).args(options).current_dir(folder.path());
+        let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut said = BufReader::new(child.stderr.take().unwrap());
+        let mut url = String::new();
+        while !url.starts_with("http://127.0.0.1:") {
+            url.clear();
+            assert_ne!(said.read_line(&mut url).unwrap(), 0, "it has printed no address");
+        }
+        Self { child, url: url.trim().to_owned(), folder, said }
+    }
+
+    fn address(&self) -> &str {
+        self.url.trim_start_matches("http://").trim_end_matches('/')
+    }
+
+    /// Sends a request as it is. Returns what is answered until the connection ends or for a second.
+    fn ask(&self, request: &str) -> String {
+        let mut stream = TcpStream::connect(self.address()).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+        let _ = stream.write_all(request.as_bytes());
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    fn get(&self, path: &str, more: &str) -> String {
+        let host = self.address();
+        self.ask(&format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n"))
+    }
+
+    /// Waits for its end. Returns its report.
+    fn report(mut self) -> Json {
+        let mut rest = String::new();
+        self.said.read_to_string(&mut rest).unwrap();
+        self.child.wait().unwrap();
+        let file = self.folder.path().join("report/report.json");
+        serde_json::from_str(&std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{error}: {rest}"))).unwrap()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_run_is_the_same_with_readers_that_never_read_reload_and_ask_for_all() {
+    let without = {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("chart.yaml");
+        std::fs::write(&file, SWINGS).unwrap();
+        let mut run = Command::new(env!("CARGO_BIN_EXE_armarium"));
+        let done = run.arg("run").arg(&file).current_dir(folder.path()).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        let report = std::fs::read_to_string(folder.path().join("report/report.json")).unwrap();
+        serde_json::from_str::<Json>(&report).unwrap()
+    };
+    let run = Run::start(SWINGS, &["--live"]);
+    let host = run.address().to_owned();
+    // Some who ask for news and never read them.
+    let _stalled: Vec<TcpStream> = (0..10)
+        .map(|_| {
+            let mut stream = TcpStream::connect(&host).unwrap();
+            stream.write_all(format!("GET /news HTTP/1.1\r\nHost: {host}\r\n\r\n").as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    for _ in 0..3 {
+        let all = run.get("/run", "");
+        assert!(all.starts_with("HTTP/1.1 200"), "{all}");
+        let body: Json = serde_json::from_str(all.split_once("\r\n\r\n").unwrap().1).unwrap();
+        assert_eq!(body["header"]["title"], "Swings");
+        assert!(body["header"]["states"]["Swing.There"]["skill"] == "MoveJoints" && body["token"].is_null());
+    }
+    let report = run.report();
+    assert_eq!(report["trace_sha256"], without["trace_sha256"]);
+    assert_eq!(report["acted"], serde_json::json!([]));
+}
+
+#[test]
+fn strangers_are_refused_and_harm_nothing() {
+    let run = Run::start(SWINGS, &["--live-control"]);
+    let host = run.address().to_owned();
+    let status = |answer: &str| answer.split(' ').nth(1).unwrap_or("none").to_owned();
+    assert_eq!(status(&run.get("/", "")), "200");
+    assert_eq!(status(&run.ask("GET / HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n")), "403");
+    assert_eq!(status(&run.get("/run", "Origin: http://evil.example\r\n")), "403");
+    for path in ["/../../etc/passwd", "/%2e%2e/etc/passwd", "/style.css/../run", "//"] {
+        assert_eq!(status(&run.get(path, "")), "404", "{path}");
+    }
+    for path in ["/series", "/series?topic=x", "/image?topic=%zz", "/poses?t=nan", "/chart?closed=%00"] {
+        let answer = run.get(path, "");
+        assert!(["200", "400", "404"].contains(&status(&answer).as_str()), "{path}: {answer}");
+    }
+    let act = |token: &str, body: &str| {
+        let length = body.len();
+        run.ask(&format!(
+            "POST /act HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{token}Content-Length: {length}\r\n\r\n{body}"
+        ))
+    };
+    assert_eq!(status(&act("", r#"{"do":"stop"}"#)), "403");
+    assert_eq!(status(&act("X-Armarium-Token: 0123\r\n", r#"{"do":"stop"}"#)), "403");
+    let all = run.get("/run", "");
+    let known: Json = serde_json::from_str(all.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let token = format!("X-Armarium-Token: {}\r\n", known["token"].as_str().unwrap());
+    assert_eq!(status(&act(&token, "nonsense")), "400");
+    let large = format!("POST /act HTTP/1.1\r\nHost: {host}\r\n{token}Content-Length: 1000000000\r\n\r\n{}", "x".repeat(100_000));
+    assert!(["413", "none"].contains(&status(&run.ask(&large)).as_str()));
+    assert!(["400", "none"].contains(&status(&run.ask("\u{1}\u{2} garbage\r\n\r\n")).as_str()));
+    assert_eq!(status(&run.ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\nX: {}\r\n\r\n", "y".repeat(100_000)))), "431");
+    // Far more connections than there is room for; afterwards there is room again.
+    let crowd: Vec<_> = (0..600).filter_map(|_| TcpStream::connect(&host).ok()).collect();
+    drop(crowd);
+    assert_eq!(status(&act(&token, r#"{"do":"event","name":"enough"}"#)), "200");
+    let report = run.report();
+    assert_eq!(report["outcome"], "success");
+    assert!(report["acted"][0].as_str().unwrap().ends_with("event enough"), "{}", report["acted"]);
+}
+
+#[test]
+fn a_recording_that_is_none_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.mcap");
+    for content in [&b""[..], b"no recording", b"\x89MCAP0\r\n\x04\xff\xff\xff\xff\xff\xff\xff\x7f"] {
+        std::fs::write(&file, content).unwrap();
+        let shown = Command::new(env!("CARGO_BIN_EXE_armarium")).arg("view").arg(&file).output().unwrap();
+        assert_eq!(shown.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&shown.stdout).contains("is no recording of a run"));
+    }
+}
+
+/// The folder of the npm packages and the browser.
+fn browser() -> Option<(PathBuf, PathBuf)> {
+    let modules = std::env::var_os("ARMARIUM_NODE_MODULES").map(PathBuf::from);
+    let modules = modules.filter(|folder| ["playwright-core", "axe-core"].iter().all(|name| folder.join(name).is_dir()));
+    let chromium = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+    let chromium = chromium.iter().map(PathBuf::from).find(|file| file.is_file());
+    if modules.is_none() || chromium.is_none() {
+        outside::not_run("a browser needs Debian's chromium, and the npm packages playwright-core and axe-core in ARMARIUM_NODE_MODULES");
+    }
+    modules.zip(chromium)
+}
+
+/// Plays a scenario of `live/page.mjs` at an address. Its pictures stay where `ARMARIUM_PICTURES` says.
+fn play(scenario: &str, url: &str) -> Option<Json> {
+    let (modules, chromium) = browser()?;
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/page.mjs");
+    let folder = tempfile::tempdir().unwrap();
+    let pictures = std::env::var_os("ARMARIUM_PICTURES").map_or(folder.path().to_owned(), PathBuf::from);
+    let mut node = Command::new("node");
+    let played = node.arg(script).arg(modules).arg(chromium).arg(scenario).arg(url).arg(&pictures).output().unwrap();
+    let (out, err) = (String::from_utf8_lossy(&played.stdout), String::from_utf8_lossy(&played.stderr));
+    assert!(played.status.success(), "{scenario}: {err}");
+    Some(serde_json::from_str(&out).unwrap())
+}
+
+#[test]
+fn a_browser_follows_a_run_to_its_end_and_looks_back() {
+    let run = Run::start(SWINGS, &["--live-hold", "--speed", "1", "--for", "12s"]);
+    let Some(found) = play("follow", &run.url) else { return };
+    let during: Vec<&str> = found["during"].as_array().unwrap().iter().filter_map(Json::as_str).collect();
+    assert!(during.contains(&"Swing") && during.iter().any(|state| state.starts_with("Swing.")), "{during:?}");
+    assert_eq!(found["outcome"], "stopped");
+    assert!(found["entities"].as_u64().unwrap() > 0, "memory has prior knowledge");
+}
+
+#[test]
+fn a_browser_pauses_steps_and_goes_on() {
+    let run = Run::start(SWINGS, &["--live-control", "--live-hold"]);
+    let Some(found) = play("act", &run.url) else { return };
+    assert_eq!(found["outcome"], "success");
+}
+
+#[test]
+fn the_page_is_for_everybody() {
+    let run = Run::start(FAILS, &["--live-hold"]);
+    let Some(found) = play("access", &run.url) else { return };
+    assert_eq!(found["axe"], serde_json::json!([]), "axe finds nothing serious");
+}

@@ -1,0 +1,95 @@
+// Drives the live page in a real browser. Arguments: the folder with npm packages, the browser, a scenario, the address, a folder for pictures.
+// Prints what it found as JSON; any surprise ends it with a reason.
+
+import { createRequire } from 'node:module';
+
+const [modules, browserPath, scenario, url, pictures] = process.argv.slice(2);
+const require = createRequire(`${modules}/`);
+const { chromium } = require('playwright-core');
+
+const browser = await chromium.launch({ executablePath: browserPath, args: ['--no-sandbox', '--enable-unsafe-swiftshader'] });
+const errors = [];
+async function open(size = { width: 1366, height: 768 }, more = {}) {
+  const context = await browser.newContext({ viewport: size, ...more });
+  const page = await context.newPage();
+  page.on('console', (message) => { if (message.type() === 'error' && !/ERR_CONNECTION|Failed to load resource/.test(message.text())) errors.push(message.text()); });
+  page.on('pageerror', (error) => errors.push(String(error)));
+  await page.goto(url);
+  await page.waitForSelector('[data-state]');
+  return page;
+}
+const active = (page) => page.$$eval('[data-state].active', (all) => all.map((each) => each.dataset.state).filter(Boolean));
+const picture = (page, name) => page.screenshot({ path: `${pictures}/${name}.png` });
+const expect = (holds, what) => { if (!holds) throw new Error(what); };
+const badge = (page) => page.textContent('#badge');
+const ended = (page) => page.waitForFunction(() => !['running', 'paused', 'not connected', '…'].includes(document.getElementById('badge').textContent), null, { timeout: 240000 });
+
+const scenarios = {
+  // To the end, with a reload in the middle and looking back.
+  async follow() {
+    const page = await open();
+    await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    const during = await active(page);
+    await picture(page, 'overview');
+    await page.reload();
+    await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    await ended(page);
+    const outcome = await badge(page);
+    await picture(page, 'ended');
+    await page.keyboard.press('Home');
+    await page.keyboard.press('.');
+    await page.waitForFunction(() => document.getElementById('now').textContent.includes('looking back'));
+    const back = await active(page);
+    expect(back.length > 0, 'nothing is active at the first transition');
+    for (const view of ['chart', 'world', 'time', 'memory', 'report']) { await page.click(`#tab-${view}`); await page.waitForTimeout(700); await picture(page, view); }
+    await page.click('#tab-memory');
+    const entities = await page.$$eval('[data-entity]', (all) => all.length);
+    await page.click('#tab-overview');
+    return { during, outcome, back, entities };
+  },
+  // A breakpoint, a step, going on; by hand.
+  async act() {
+    const page = await open();
+    await page.waitForSelector('#acting button');
+    await page.click('#acting button:has-text("pause")');
+    await page.waitForFunction(() => document.getElementById('badge').textContent === 'paused');
+    const before = await page.textContent('#clock');
+    await page.waitForTimeout(500);
+    expect(before === await page.textContent('#clock'), 'time goes on in a pause');
+    await page.click('#acting button:has-text("step")');
+    await page.waitForFunction((then) => document.getElementById('clock').textContent !== then, before, { timeout: 60000 });
+    await picture(page, 'paused');
+    await page.click('#acting button:has-text("go on")');
+    await ended(page);
+    return { outcome: await badge(page) };
+  },
+  // Keyboard, phone, dark, what screen readers need.
+  async access() {
+    const page = await open();
+    await page.addScriptTag({ content: require('fs').readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8') }).catch(() => {});
+    const axe = await page.evaluate(async (source) => { (0, eval)(source); return (await window.axe.run()).violations.filter((v) => ['serious', 'critical'].includes(v.impact)).map((v) => `${v.id}: ${v.nodes.slice(0, 3).map((n) => n.target).join(' ; ')}`); },
+      require('fs').readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8')).catch((error) => [`axe was not run: ${error}`]);
+    await page.keyboard.press('2');
+    expect(await page.getAttribute('#tab-chart', 'aria-selected') === 'true', 'the key 2 shows the chart');
+    const state = await page.$('[data-state]:not([data-state=""])');
+    await state.focus(); await page.keyboard.press('Enter');
+    await page.waitForSelector('.detail h2');
+    const phone = await open({ width: 390, height: 844 }, { colorScheme: 'dark', hasTouch: true });
+    await phone.waitForTimeout(500);
+    const wide = await phone.evaluate(() => document.documentElement.scrollWidth);
+    expect(wide <= 390, `the page is ${wide} px wide on a phone`);
+    await picture(phone, 'phone');
+    const tabs = await Promise.all(Array.from({ length: 10 }, () => page.context().newPage()));
+    for (const tab of tabs) { await tab.goto(url); await tab.waitForSelector('[data-state]'); }
+    return { axe };
+  },
+};
+try {
+  const found = await scenarios[scenario]();
+  expect(errors.length === 0, `the page says: ${errors.join('; ')}`);
+  console.log(JSON.stringify(found));
+} catch (error) {
+  console.error(String(error), errors.join('; '));
+  process.exitCode = 1;
+}
+await browser.close();
