@@ -17,6 +17,7 @@
 
 mod agent;
 mod attributes;
+mod changes;
 mod checked_query;
 mod entity;
 mod error;
@@ -40,13 +41,14 @@ mod working;
 
 pub use agent::{AgentMemory, MemoryConfig, Restored};
 pub use attributes::Attributes;
+pub use changes::Changes;
 pub use checked_query::{Answer, CheckedQuery};
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
 pub use follow::{Change, Follower, LastSeen};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
-pub use memory::{Memory, Pages, modify, pages};
+pub use memory::{Head, Heads, Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};
 pub use place::{SpatialRegion, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};

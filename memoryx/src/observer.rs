@@ -80,8 +80,8 @@ impl Observer {
     /// # Errors
     /// As [`Memory::query`].
     pub async fn new(memory: Arc<dyn Memory>) -> Result<Self, MemoryError> {
-        let (follower, held) = Follower::from_now(memory, Pattern::any()).await?;
-        let there = held.iter().map(|s| (s.id.clone(), true)).collect();
+        let (follower, heads) = Follower::from_now(memory, Pattern::any()).await?;
+        let there = heads.into_iter().map(|head| (head.id, !head.removed)).collect();
         Ok(Self { follower, conditions: Vec::new(), there, ready: VecDeque::new(), missed: 0 })
     }
 

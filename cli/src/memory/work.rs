@@ -19,6 +19,7 @@ use super::{
     ExportArgs, Failure, GetArgs, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand, WatchArgs,
     keep, serve,
 };
+use crate::stopped::stopped;
 
 /// Snapshots per import request.
 const BATCH: usize = 1000;
@@ -196,18 +197,18 @@ async fn watch(
 ) -> Result<(), Failure> {
     let pattern = pattern(&watch.pattern.pattern)?;
     let filter = watch.filter.as_deref().map(Filter::compile).transpose()?;
-    let mut changes = reached.memory().subscribe();
+    let mut changes = reached.memory().subscribe(&pattern).await?;
     let mut left = watch.count.unwrap_or(usize::MAX);
     while left > 0 {
         let change = tokio::select! {
             biased;
-            ended = tokio::signal::ctrl_c() => return Ok(ended?),
+            () = stopped() => return Ok(()),
             change = changes.recv() => change,
         };
         match change {
             Ok(snapshot) => {
                 let fits = filter.as_ref().is_none_or(|filter| filter.fits(&snapshot));
-                if pattern.matches(&snapshot.id) && fits {
+                if fits {
                     shown.row(&snapshot, out)?;
                     out.flush()?;
                     left -= 1;

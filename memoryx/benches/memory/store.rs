@@ -144,7 +144,7 @@ fn starts(folder: &Path) {
 pub(super) fn durable_agent() {
     let folder = tempfile::tempdir().expect("a folder");
     let store = Arc::new(LongTermMemory::open(&folder.path().join("agent.redb")).expect("a file"));
-    let kept = Consolidator::new(store, Policies::all(Policy::Everything));
+    let kept = Consolidator::new(store, Policies::all(Policy::Everything)).expect("it can be read");
     let memory =
         WorkingMemory::new(Arc::new(|| 0)).with_limits(MemoryLimits::default()).with_backing(Arc::new(kept));
     for group in [1000, 10_000] {

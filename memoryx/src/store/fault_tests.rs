@@ -223,6 +223,98 @@ fn a_full_disk_is_an_error_and_no_damage() {
     }
 }
 
+/// A write or a sync that fails once, wherever it is: memory and disk agree, and the next commit works without a restart.
+#[test]
+fn after_a_failure_at_any_write_memory_and_disk_agree() {
+    for (changes, full) in (0..).flat_map(|changes| [(changes, false), (changes, true)]) {
+        let medium = Medium::default();
+        let store = Arc::new(medium.store().unwrap());
+        let backing: Arc<dyn Backing> = Arc::<LongTermMemory>::clone(&store);
+        let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(backing);
+        let commit = |value: u64| {
+            let id = if value.is_multiple_of(3) { "S/p/a" } else { "S/p/b" };
+            memory.commit_now(vec![crate::Commit::new(id.parse().unwrap(), value, [])])
+        };
+        commit(0).unwrap();
+        medium.fail_after(Some(changes), full);
+        let mut acknowledged = Vec::new();
+        let mut failures = 0;
+        for value in 1..12 {
+            match commit(value) {
+                Ok(versions) => acknowledged.push((value, versions[0])),
+                Err(_) => {
+                    failures += 1;
+                    medium.fail_after(None, false);
+                }
+            }
+        }
+        medium.fail_after(None, false);
+        commit(12).unwrap();
+        let query = Query::history(Pattern::any());
+        let held = memory.query_now(&query).unwrap();
+        assert_eq!(held, store.query(&query).unwrap(), "after {changes} changes");
+        let has = |(value, version)| held.iter().any(|s| (s.referenced_ns, s.version) == (value, version));
+        assert!(failures <= 1 && acknowledged.into_iter().all(has));
+        assert!(store.verify().unwrap().is_intact());
+        if failures == 0 {
+            assert!(changes > 50, "ten commits are more than {changes} writes");
+            break;
+        }
+    }
+}
+
+/// What policies do not store has versions, too. The copy of an open file stands for the file of a killed process.
+#[test]
+fn acknowledged_versions_are_never_given_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let policies = Policies::all(Policy::AtMost { hz: 1.0 })
+        .with("Kept", Policy::Everything)
+        .with("Changed", Policy::OnChange)
+        .with("Lost", Policy::Nothing);
+    let open = |path: &Path| {
+        let config = crate::MemoryConfig { policies: policies.clone(), ..crate::MemoryConfig::new("a") };
+        crate::AgentMemory::open(&config.with_store(path), Arc::new(|| 1)).unwrap()
+    };
+    let names = ["Kept/p/e", "Changed/p/e", "Lost/p/e", "Rated/p/e"];
+    let commit = |agent: &crate::AgentMemory, id: &str, expected: Option<u64>| {
+        let update = crate::Commit::new(id.parse().unwrap(), 7, []);
+        agent.memory().commit_now(vec![crate::Commit { expected_version: expected, ..update }])
+    };
+    let (path, killed) = (folder.path().join("ended.redb"), folder.path().join("killed.redb"));
+    let mut last = 0;
+    for _ in 0..2 {
+        let agent = open(&path);
+        for _ in 0..1500 {
+            let versions = names.map(|id| commit(&agent, id, None).unwrap()[0]);
+            assert_eq!(versions, [last + 1; 4], "an end in good order leaves no gap");
+            last += 1;
+        }
+        std::fs::copy(&path, &killed).unwrap();
+    }
+    let agent = open(&killed);
+    for id in names {
+        assert!(id.starts_with("Kept") || commit(&agent, id, Some(last)).is_err(), "{id}");
+        let version = commit(&agent, id, None).unwrap()[0];
+        assert!(version > last && (version == last + 1 || !id.starts_with("Kept")), "{id} has {version}");
+    }
+    assert_eq!(commit(&agent, "Rated/p/new", None), Ok(vec![1]), "a new name begins at 1");
+}
+
+#[test]
+fn a_file_of_the_earlier_format_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with(folder.path(), "old.redb", 3);
+    let old = Database::create(&path).unwrap();
+    let write = old.begin_write().unwrap();
+    write.delete_table(GIVEN).unwrap();
+    write.open_table(META).unwrap().insert("format", FORMAT_WITHOUT_GIVEN).unwrap();
+    write.commit().unwrap();
+    drop(old);
+    let store = LongTermMemory::open(&path).unwrap();
+    assert_eq!(store.last_version(&"S/p/e".parse().unwrap()), Ok(3));
+    assert!(store.verify().unwrap().is_intact());
+}
+
 fn file_with(folder: &Path, name: &str, snapshots: u64) -> std::path::PathBuf {
     let path = folder.join(name);
     let store = LongTermMemory::open(&path).unwrap();
@@ -326,7 +418,7 @@ fn other_files_are_refused_and_left_alone() {
     drop(other);
     assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
 
-    for other_format in [1, 3] {
+    for other_format in [1, 4] {
         let path = folder.path().join(format!("format{other_format}.redb"));
         drop(LongTermMemory::open(&path).unwrap());
         let newer = Database::create(&path).unwrap();

@@ -8,8 +8,8 @@ use redb::{Database, ReadableDatabase};
 
 use super::error::Fault;
 use super::{
-    BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, INDEX, LongTermMemory, META, NAMED, SHARED_WAIT, StoreError,
-    WAIT,
+    BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, FORMAT_WITHOUT_GIVEN, GIVEN, INDEX, LongTermMemory, META,
+    NAMED, SHARED_WAIT, StoreError, WAIT,
 };
 
 /// Between two tries to open a file that another process has open.
@@ -124,6 +124,12 @@ impl LongTermMemory {
             Ok(meta) => {
                 return match meta.get("format")?.map_or(0, |v| v.value()) {
                     FORMAT => Ok(()),
+                    FORMAT_WITHOUT_GIVEN => {
+                        let write = database.begin_write()?;
+                        write.open_table(GIVEN)?;
+                        write.open_table(META)?.insert("format", FORMAT)?;
+                        Ok(write.commit()?)
+                    }
                     found => Err(StoreError::Format { path, found, supported: FORMAT }.into()),
                 };
             }
@@ -142,6 +148,7 @@ impl LongTermMemory {
         write.open_table(CHUNKS)?;
         write.open_table(BLOBS)?;
         write.open_table(BLOB_USES)?;
+        write.open_table(GIVEN)?;
         write.open_table(NAMED)?;
         Ok(write.commit()?)
     }

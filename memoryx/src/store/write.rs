@@ -8,12 +8,14 @@ use redb::{ReadableTable, Table, WriteTransaction};
 use super::error::Fault;
 use super::record::{self, Hash};
 use super::{
-    BLOB_USES, BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, META, NAMED, RecordPlace, StoreError,
+    BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, LongTermMemory, META, NAMED, RecordPlace, StoreError,
 };
 use crate::entity::{EntityId, Snapshot};
 
 /// Most bytes of a chunk with several records: with its overhead it fills a page of 64 kB.
 const MAX_CHUNK_BYTES: usize = 65_000;
+/// The key in the table `given` of all entities that are not stored.
+pub(super) const OF_OTHERS: u64 = u64::MAX;
 /// Most entities in the cache.
 const MAX_CACHED: usize = 100_000;
 
@@ -69,6 +71,7 @@ pub(super) struct Writer<'t> {
     pub(super) chunks: Table<'t, u64, &'static [u8]>,
     blobs: Table<'t, &'static [u8], &'static [u8]>,
     blob_uses: Table<'t, &'static [u8], u64>,
+    given: Table<'t, u64, u64>,
     named: Table<'t, &'static str, &'static [u8]>,
     pub(super) totals: Totals,
     /// The chunk that is being filled; its number is `totals.next_chunk`.
@@ -88,6 +91,7 @@ impl<'t> Writer<'t> {
             chunks: transaction.open_table(CHUNKS)?,
             blobs: transaction.open_table(BLOBS)?,
             blob_uses: transaction.open_table(BLOB_USES)?,
+            given: transaction.open_table(GIVEN)?,
             named: transaction.open_table(NAMED)?,
             totals,
             open: Vec::with_capacity(MAX_CHUNK_BYTES),
@@ -263,6 +267,18 @@ impl<'t> Writer<'t> {
         })
     }
 
+    /// Notes the last version that an entity, or with `None` any entity that is not stored, may have been given.
+    pub(super) fn note_given(
+        &mut self,
+        id: Option<&EntityId>,
+        version: u64,
+        memo: &EntityCache,
+    ) -> Result<(), Fault> {
+        let number = id.map_or(Ok(OF_OTHERS), |id| self.number(id, memo))?;
+        self.given.insert(number, version)?;
+        Ok(())
+    }
+
     /// Removes a chunk and returns its bytes.
     pub(super) fn take_chunk(&mut self, chunk: u64) -> Result<Vec<u8>, Fault> {
         let taken = self.chunks.remove(chunk)?;
@@ -287,7 +303,21 @@ impl LongTermMemory {
     /// [`StoreError::Version`] when another snapshot has the same version, in a file that is not shared;
     /// [`StoreError::Full`] and others when the disk fails.
     pub fn persist(&self, snapshots: &[Arc<Snapshot>]) -> Result<usize, StoreError> {
-        if snapshots.is_empty() {
+        self.persist_with(snapshots, &[])
+    }
+
+    /// As [`Self::persist`]; also notes the last versions that may have been given: of an entity, or with `None` of any
+    /// that is not stored. Not where several processes write: there a version counts once it is stored.
+    ///
+    /// # Errors
+    /// As [`Self::persist`].
+    pub(super) fn persist_with(
+        &self,
+        snapshots: &[Arc<Snapshot>],
+        given: &[(Option<&EntityId>, u64)],
+    ) -> Result<usize, StoreError> {
+        let given = if self.shared { &[] } else { given };
+        if snapshots.is_empty() && given.is_empty() {
             return Ok(0);
         }
         self.write(|writer, memo| {
@@ -295,7 +325,10 @@ impl LongTermMemory {
             for snapshot in snapshots {
                 new += usize::from(writer.add(snapshot, memo, self.shared)?);
             }
-            Ok((new, new > 0))
+            for (id, version) in given {
+                writer.note_given(*id, *version, memo)?;
+            }
+            Ok((new, new > 0 || !given.is_empty()))
         })
     }
 

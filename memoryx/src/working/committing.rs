@@ -4,8 +4,8 @@
 //! With a backing, one thread does all this, so that no other thread waits for a disk. Without one, it takes
 //! microseconds, and whoever commits does it.
 
-use std::sync::Arc;
-use std::sync::mpsc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
 use super::content::{Content, Usage, bytes_of, owner};
@@ -16,6 +16,9 @@ use crate::schema::check_form;
 
 /// Most requests that are committed together.
 const MAX_GROUP: usize = 1024;
+
+/// An arrival time so far ahead of the clock, ns, is no clock's that was set back.
+const MAX_AHEAD_NS: u64 = 3_600_000_000_000;
 
 /// Updates that are committed all or none.
 pub(super) struct Request {
@@ -64,17 +67,40 @@ impl Drop for CommittingThread {
     }
 }
 
+/// What only whoever commits knows.
+#[derive(Default)]
+pub(super) struct WriterState {
+    /// The last arrival time, ns.
+    last_arrival: u64,
+    /// The last versions that were given to entities, where they are not in the content: an earlier process gave them.
+    pub(super) given: BTreeMap<EntityId, u64>,
+    /// The snapshots of a failed write, of which it is unknown whether the backing has them.
+    unsettled: Vec<Arc<Snapshot>>,
+}
+
+impl WriterState {
+    /// Notes an arrival time, ns, of an earlier process, unless it makes no sense at `now_ns`.
+    pub(super) fn note_arrival(&mut self, arrived_ns: u64, now_ns: u64) {
+        if arrived_ns < now_ns.saturating_add(MAX_AHEAD_NS) {
+            self.last_arrival = self.last_arrival.max(arrived_ns);
+        }
+    }
+}
+
 impl Core {
     /// Commits requests together, and answers each.
     pub(super) fn commit_together(&self, requests: Vec<Request>) {
-        let mut last_arrival = self.writer.lock();
-        // Arrival times never go back, even if the clock does.
-        *last_arrival = self.now_ns().max(*last_arrival);
+        let mut writer = self.writer.lock();
+        if let Err(error) = self.settle(&mut writer) {
+            return requests.into_iter().for_each(|request| (request.answer)(Err(error.clone())));
+        }
+        // Arrival times tell the order of commits, whatever the clock does.
+        writer.last_arrival = self.now_ns().max(writer.last_arrival.saturating_add(1));
         let mut next = Content::clone(&self.content());
         let (mut group, mut taken) = (Vec::new(), Vec::with_capacity(requests.len()));
         for Request { updates, sent_ns, prior, answer } in requests {
             let from = group.len();
-            match self.number(updates, (sent_ns, *last_arrival), prior, &mut next, &mut group) {
+            match self.number(updates, sent_ns, prior, &writer, &mut next, &mut group) {
                 Ok(()) => taken.push((answer, from..group.len())),
                 Err(error) => answer(Err(error)),
             }
@@ -85,12 +111,30 @@ impl Core {
         let stored = self.backing.as_ref().filter(|_| !group.is_empty()).map_or(Ok(()), |b| b.take(&group));
         if stored.is_ok() {
             self.publish(next, &group);
+        } else {
+            writer.unsettled.clone_from(&group);
+            // If that is not possible now, the next commit does it.
+            let _ = self.settle(&mut writer);
         }
-        drop(last_arrival);
+        drop(writer);
         for (answer, range) in taken {
             let versions = group.get(range).unwrap_or_default().iter().map(|s| s.version).collect();
             answer(stored.clone().map(|()| versions));
         }
+    }
+
+    /// Takes over the snapshots of a failed write if the backing has them after all, so that both agree.
+    fn settle(&self, writer: &mut WriterState) -> Result<(), MemoryError> {
+        let Some(backing) = self.backing.as_ref().filter(|_| !writer.unsettled.is_empty()) else {
+            return Ok(());
+        };
+        if backing.holds_any(&writer.unsettled)? {
+            let mut next = Content::clone(&self.content());
+            writer.unsettled.iter().for_each(|snapshot| next.put_in(snapshot, self.limits.history));
+            self.publish(next, &writer.unsettled);
+        }
+        writer.unsettled.clear();
+        Ok(())
     }
 
     /// Makes content visible, and sends its new snapshots to subscribers in the same order.
@@ -107,8 +151,9 @@ impl Core {
     fn number(
         &self,
         updates: Vec<Commit>,
-        times: (u64, u64),
+        sent_ns: u64,
         prior: bool,
+        writer: &WriterState,
         next: &mut Content,
         group: &mut Vec<Arc<Snapshot>>,
     ) -> Result<(), MemoryError> {
@@ -116,7 +161,7 @@ impl Core {
         // A single update changes nothing when it is refused.
         let before = (updates.len() > 1).then(|| next.clone());
         for update in updates {
-            match self.number_one(update, times, prior, next) {
+            match self.number_one(update, sent_ns, prior, writer, next) {
                 Ok(snapshot) => {
                     next.put_in(&snapshot, self.limits.history);
                     group.push(snapshot);
@@ -134,21 +179,23 @@ impl Core {
     fn number_one(
         &self,
         update: Commit,
-        (sent_ns, arrived_ns): (u64, u64),
+        sent_ns: u64,
         prior: bool,
+        writer: &WriterState,
         next: &Content,
     ) -> Result<Arc<Snapshot>, MemoryError> {
         if !prior && next.is_read_only(&update.id) {
             return Err(MemoryError::ReadOnly { id: update.id.to_string() });
         }
         self.check(&update.id, &update.instances)?;
-        self.check_time(&update, arrived_ns)?;
+        self.check_time(&update, writer.last_arrival)?;
         let newest = next.newest(&update.id);
         let (version, is_gone) = match newest {
             Some(newest) => (newest.version, newest.is_removed()),
             None => (self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id))?, true),
         };
         expect(&update, if is_gone { 0 } else { version })?;
+        let version = writer.given.get(&update.id).map_or(version, |given| version.max(*given));
         let owner = Some(owner(&update.id)).filter(|_| self.limits.shares > 1 && !prior);
         self.check_room(next, &update.id, &update.instances, newest.is_none(), owner)?;
         Ok(Arc::new(Snapshot {
@@ -156,7 +203,7 @@ impl Core {
             version: version.saturating_add(1),
             referenced_ns: update.referenced_ns,
             sent_ns,
-            arrived_ns,
+            arrived_ns: writer.last_arrival,
             instances: update.instances,
         }))
     }

@@ -33,6 +33,8 @@ pub(super) struct Content {
     all: Usage,
     /// What each owner takes.
     usage: OrdMap<Arc<str>, Usage>,
+    /// When the last of its snapshots arrived, ns.
+    last_arrival: u64,
     /// The removed entities by arrival time, ns.
     removed: OrdSet<(u64, EntityId)>,
 }
@@ -114,6 +116,11 @@ impl Content {
         self.usage.get(owner).copied().unwrap_or_default()
     }
 
+    /// When the last of its snapshots arrived, ns.
+    pub(super) fn last_arrival(&self) -> u64 {
+        self.last_arrival
+    }
+
     fn history(&self, id: &EntityId) -> Option<&History> {
         self.segments.get(id.segment())?.entities.get(id)
     }
@@ -191,6 +198,7 @@ impl Content {
         let history = stays.iter().chain(std::iter::once(snapshot)).cloned().collect();
         segment.entities.insert(id.clone(), history);
         segment.note_arrival(snapshot);
+        self.last_arrival = self.last_arrival.max(snapshot.arrived_ns);
         self.count(id, more, freed);
         for _ in 0..FORGOTTEN_PER_SNAPSHOT {
             self.forget_removed(snapshot.arrived_ns);

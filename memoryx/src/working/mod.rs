@@ -18,18 +18,19 @@ use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
 
+use crate::changes::Changes;
 use crate::checked_query::Answer;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
-use crate::query::Query;
+use crate::query::{Pattern, Query};
 use crate::schema::{SegmentSchema, core_segments};
 
 mod committing;
 mod content;
 mod merged_view;
 
-use committing::{CommittingThread, Request};
+use committing::{CommittingThread, Request, WriterState};
 use content::Content;
 use merged_view::MergedView;
 
@@ -76,7 +77,7 @@ impl MemoryLimits {
 
 /// The storage behind a working memory, which is called before a commit is acknowledged, by the thread that commits.
 pub trait Backing: Send + Sync {
-    /// The newest version ever assigned to an entity that is not in working memory; 0 if there is none.
+    /// The last version that an entity, which is not in working memory, may have been given; 0 if there is none.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when it cannot be read.
@@ -86,8 +87,15 @@ pub trait Backing: Send + Sync {
     /// write to disk.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when they cannot be stored; the commit is then refused.
+    /// [`MemoryError::Store`] when they cannot be stored, or it is unknown whether they are; the commit is then refused,
+    /// and [`Self::holds_any`] is called before the next one.
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError>;
+
+    /// Whether any of the snapshots is stored that a failed [`Self::take`] was given: a failed write may be complete.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when it cannot be read.
+    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError>;
 
     /// Its content, if that can be queried.
     fn archive(&self) -> Option<&dyn Archive> {
@@ -133,8 +141,8 @@ struct Core {
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
     changes: broadcast::Sender<Arc<Snapshot>>,
-    /// Locked by whoever commits, also during the backing's write; the last arrival time, ns.
-    writer: Mutex<u64>,
+    /// Locked by whoever commits, also during the backing's write.
+    writer: Mutex<WriterState>,
     /// The present content. The lock is held only while the pointer is copied or replaced.
     content: RwLock<Arc<Content>>,
 }
@@ -162,7 +170,7 @@ impl WorkingMemory {
             schemas: core_segments(),
             backing: None,
             changes: broadcast::channel(limits.backlog).0,
-            writer: Mutex::new(0),
+            writer: Mutex::default(),
             content: RwLock::default(),
         };
         Self { core: Arc::new(core), part: merged_view::MAX_PART, thread: OnceLock::new() }
@@ -213,6 +221,11 @@ impl WorkingMemory {
     /// The size of its snapshots, bytes, about.
     pub fn bytes(&self) -> u64 {
         self.core.content().all().bytes
+    }
+
+    /// When its last change arrived, ns.
+    pub(crate) fn last_arrival_ns(&self) -> u64 {
+        self.core.content().last_arrival()
     }
 
     /// Whether it is empty.
@@ -299,7 +312,8 @@ impl WorkingMemory {
     /// newer version stay; invalid snapshots are left out, and remain in the store only. Returns how many were
     /// inserted, and why the first one was left out. The backing is not called, because it is the source.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
-        let _alone = self.core.writer.lock();
+        let mut writer = self.core.writer.lock();
+        let now_ns = self.now_ns();
         let mut next = Content::clone(&self.core.content());
         let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
         for snapshot in snapshots {
@@ -311,6 +325,7 @@ impl WorkingMemory {
             match self.check_kept(&snapshot).and_then(|()| room()) {
                 Ok(()) => {
                     next.put_in(&snapshot, self.core.limits.history);
+                    writer.note_arrival(snapshot.arrived_ns, now_ns);
                     fitting.push(snapshot);
                 }
                 Err(error) => refused = refused.or(Some(error)),
@@ -318,6 +333,11 @@ impl WorkingMemory {
         }
         self.core.publish(next, &fitting);
         (fitting.len(), refused)
+    }
+
+    /// Counts the next versions of these entities from later ones than it holds.
+    pub(crate) fn count_from(&self, given: BTreeMap<EntityId, u64>) {
+        self.core.writer.lock().given.extend(given);
     }
 
     /// [`Memory::latest`] without async.
@@ -355,6 +375,13 @@ impl WorkingMemory {
     }
 }
 
+impl WorkingMemory {
+    /// [`Memory::subscribe`] without async.
+    pub fn changes(&self, pattern: &Pattern) -> Changes {
+        Changes::here(pattern.clone(), self.core.changes.subscribe())
+    }
+}
+
 fn ended() -> MemoryError {
     MemoryError::Store { what: "the thread that commits has ended".into() }
 }
@@ -379,8 +406,8 @@ impl Memory for WorkingMemory {
         self.query_now(query)
     }
 
-    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
-        self.core.changes.subscribe()
+    async fn subscribe(&self, pattern: &Pattern) -> Result<Changes, MemoryError> {
+        Ok(self.changes(pattern))
     }
 }
 
