@@ -243,6 +243,12 @@ async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, ret
         tokio::time::sleep(RETENTION_INTERVAL).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());
         match tokio::task::spawn_blocking(move || store.retain(retention, now_ns)).await {
+            Ok(Ok(dropped)) if dropped.over > 0 => {
+                tracing::warn!(
+                    bytes = dropped.over,
+                    "long-term memory is larger than it is to be: the newest of each entity and named snapshots stay"
+                );
+            }
             Ok(Ok(dropped)) if dropped.snapshots > 0 => {
                 tracing::info!(
                     snapshots = dropped.snapshots,

@@ -109,6 +109,8 @@ pub struct ChangesMessage {
 pub enum Maintain {
     /// Count what is there.
     Stats,
+    /// Count what each owner of provider segments takes, and has written.
+    Usage,
     /// Read and check everything.
     Verify,
     /// Return free space to the file system.

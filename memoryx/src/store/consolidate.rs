@@ -98,6 +98,13 @@ struct LastStored {
     given: u64,
 }
 
+impl LastStored {
+    /// Whether the last version is a removal that is stored.
+    fn is_gone(&self) -> bool {
+        self.pending.is_none() && self.kept.as_ref().is_some_and(|kept| kept.is_removed())
+    }
+}
+
 #[derive(Debug, Default)]
 struct State {
     last: BTreeMap<EntityId, LastStored>,
@@ -168,6 +175,12 @@ impl Consolidator {
         }
         let mut notes = Vec::new();
         for (id, last) in &mut changed {
+            // What is gone is stored as that, and needs no place in this table.
+            if last.is_gone() {
+                last.noted = last.given;
+                notes.push((Some(id), last.given));
+                continue;
+            }
             // A stored version need not be noted; while something is written, the next versions are noted along with it.
             let stored = last.kept.as_ref().map_or(0, |kept| kept.version);
             let is_soon = !chosen.is_empty() && last.given + GIVEN_AHEAD / 2 > last.noted;
@@ -183,7 +196,12 @@ impl Consolidator {
         }
         self.store.persist_with(&chosen, &notes)?;
         (state.given, state.noted) = (given_to_others, noted_of_others);
-        state.last.append(&mut changed);
+        for (id, last) in changed {
+            match last.is_gone() {
+                true => drop(state.last.remove(&id)),
+                false => drop(state.last.insert(id, last)),
+            }
+        }
         Ok(chosen.len() as u64)
     }
 

@@ -26,8 +26,9 @@ struct Disk {
     synced: Vec<u8>,
     /// Writes since the last sync.
     loose: Vec<(u64, Vec<u8>)>,
-    /// Syncs so far.
+    /// Syncs, and bytes written, so far.
     syncs: u64,
+    written: u64,
     /// Number of changes that still succeed.
     left: Option<u64>,
     /// Whether the changes after that report a full disk.
@@ -114,6 +115,7 @@ impl StorageBackend for Medium {
         disk.change()?;
         let from = offset as usize;
         disk.seen.get_mut(from..from + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(data);
+        disk.written += data.len() as u64;
         disk.loose.push((offset, data.to_vec()));
         Ok(())
     }
@@ -263,6 +265,87 @@ fn after_a_failure_at_any_write_memory_and_disk_agree() {
     }
 }
 
+/// An age limit that drops a hundredth of the store each time writes little more than that, and nothing when nothing is old.
+#[test]
+fn retention_writes_in_proportion_to_what_it_drops() {
+    let medium = Medium::default();
+    let store = medium.store().unwrap();
+    let id = |n: u64| format!("S/p/e{n:03}");
+    let written = || medium.0.lock().written;
+    // A minute: 100 of 500 entities get 5 snapshots of 500 B each.
+    let minute = |minute: u64| {
+        for round in 0..5 {
+            let entities = (0..100).map(|n| (minute * 100 + n) % 500);
+            let version = minute / 5 * 5 + round + 1;
+            let group: Vec<_> = entities.map(|n| padded(&id(n), version, minute)).collect();
+            store.persist(&group).unwrap();
+        }
+    };
+    (0..100).for_each(minute);
+    let idle: Vec<_> = (0..2000).map(|n| padded(&format!("S/idle/e{n}"), 1, 0)).collect();
+    store.persist(&idle).unwrap();
+    let retain = |now: u64| store.retain(Retention { age_ns: Some(99), bytes: None }, now).unwrap();
+    retain(101);
+    for now in 100..130 {
+        minute(now);
+        let before = written();
+        let dropped = retain(now + 2);
+        assert!(dropped.snapshots >= 400 && dropped.bytes > 100_000, "{dropped:?}");
+        let (wrote, dropped) = (written() - before, dropped.bytes);
+        assert!(wrote < 3 * dropped, "{wrote} bytes written to drop {dropped}");
+        let before = written();
+        assert_eq!(retain(now + 2), Dropped::default());
+        assert_eq!(written(), before, "an idle store writes nothing");
+    }
+    assert_eq!(store.stats().unwrap().entities, 2500);
+    assert!(store.verify().unwrap().is_intact());
+    let mut lines = Vec::new();
+    assert_eq!(store.export(&Pattern::any(), &mut lines), Ok(store.stats().unwrap().snapshots));
+}
+
+/// A snapshot of 500 B that arrived at a time.
+fn padded(id: &str, version: u64, arrived_ns: u64) -> Arc<Snapshot> {
+    let instances = vec![crate::Instance::new([("data", armarium_values::Value::Bytes(vec![7; 500]))])];
+    Arc::new(Snapshot { arrived_ns, instances, ..(*snapshot(id, version, version, 0)).clone() })
+}
+
+/// Names that come and go for an hour, 10 000 a minute: file and entities stay small. What cannot be kept small is said.
+#[test]
+fn names_that_come_and_go_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("names.redb");
+    let store = LongTermMemory::open(&path).unwrap();
+    let retention = Retention { age_ns: Some(1000), bytes: Some(4_000_000) };
+    let mut most = StoreStats { entities: 0, snapshots: 0, bytes: 0, file_bytes: 0 };
+    for minute in 0..60 {
+        for part in 0..10 {
+            let names = (0..1000).map(|n| format!("S/p/e{minute}-{part}-{n}"));
+            let born = names.clone().map(|name| snapshot(&name, 1, minute, 1));
+            let gone = names.map(|name| {
+                let removal = Snapshot {
+                    version: 2,
+                    instances: Vec::new(),
+                    ..(*snapshot(&name, 2, minute, 1)).clone()
+                };
+                Arc::new(removal)
+            });
+            store.persist(&born.chain(gone).collect::<Vec<_>>()).unwrap();
+        }
+        let dropped = store.retain(retention, minute + 2).unwrap();
+        assert_eq!(dropped.over, 0);
+        let stats = store.stats().unwrap();
+        most = if stats.file_bytes > most.file_bytes { stats } else { most };
+    }
+    assert!(most.entities < 60_000 && most.bytes <= 4_000_000, "{most:?}");
+    assert!(most.file_bytes < 40_000_000, "{most:?}");
+    assert!(store.verify().unwrap().is_intact());
+    let dropped = store.retain(Retention { age_ns: Some(0), bytes: Some(0) }, u64::MAX).unwrap();
+    assert_eq!((dropped.over, store.stats().unwrap().entities), (0, 0), "{dropped:?}");
+    store.persist(&[snapshot("S/p/stays", 1, 1, 1)]).unwrap();
+    let dropped = store.retain(Retention { age_ns: None, bytes: Some(0) }, u64::MAX).unwrap();
+    assert!(dropped.over > 0 && store.newest(&"S/p/stays".parse().unwrap()).unwrap().is_some());
+}
+
 /// What policies do not store has versions, too. The copy of an open file stands for the file of a killed process.
 #[test]
 fn acknowledged_versions_are_never_given_again() {
@@ -307,7 +390,10 @@ fn a_file_of_the_earlier_format_is_opened() {
     let old = Database::create(&path).unwrap();
     let write = old.begin_write().unwrap();
     write.delete_table(GIVEN).unwrap();
-    write.open_table(META).unwrap().insert("format", FORMAT_WITHOUT_GIVEN).unwrap();
+    write.delete_table(AGES).unwrap();
+    write.delete_table(KEPT).unwrap();
+    write.delete_table(REMOVED).unwrap();
+    write.open_table(META).unwrap().insert("format", EARLIER_FORMAT).unwrap();
     write.commit().unwrap();
     drop(old);
     let store = LongTermMemory::open(&path).unwrap();

@@ -293,7 +293,10 @@ fn what_does_not_fit_stops_no_start() {
 fn a_memory_without_a_file_counts_what_it_holds_and_says_what_it_lacks() {
     let memory = WorkingMemory::new(Arc::new(|| 1));
     let stats = crate::maintain::carry_out(crate::wire::Maintain::Stats, None, &memory).unwrap();
-    assert_eq!(stats.counts.keys().collect::<Vec<_>>(), ["working_bytes", "working_entities"]);
+    assert_eq!(
+        stats.counts.keys().collect::<Vec<_>>(),
+        ["working_bytes", "working_entities", "working_updates"]
+    );
     let refused = crate::maintain::carry_out(crate::wire::Maintain::Compact, None, &memory).unwrap_err();
     assert!(refused.to_string().contains("--store"), "{refused}");
 }

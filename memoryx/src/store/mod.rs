@@ -18,6 +18,9 @@
 //! | `chunks` | number, counted up | records, one after the other, up to 64 kB; a longer record has a chunk of its own |
 //! | `blobs` | SHA-256 of the content | the content: byte values of 16 kB or more |
 //! | `blob_uses` | SHA-256 of the content | how many records name it (`u64`) |
+//! | `ages` | when the newest record of a chunk arrived, ns, and the chunk's number; 0 where that is not known yet | nothing: the chunks that retention has not come to |
+//! | `kept` | number of another chunk, whose records retention has moved because they are the newest of their entities | how many of its bytes are still in the index (`u64`) |
+//! | `removed` | entity's number | its key, if it was ever removed |
 //! | `given` | entity's number; the largest `u64` for all entities that are not stored | no later version than this was given to it; at least the newest stored one where there is no row |
 //! | `named` | name (text) | a named snapshot of working memory: the time it was taken, then entity numbers and versions (`u64` each) |
 //!
@@ -25,8 +28,8 @@
 //! sent_ns, arrived_ns (`u64` each), the number of instances, and for each the confidence (`f64`), the attributes and
 //! the covariances. All numbers are little-endian, counts and lengths LEB128; a value is a byte for its kind, then
 //! its content (`record.rs` has the list). Names hold no control characters, so a zero byte ends them unambiguously.
-//! One transaction changes all tables, so they are always consistent. A file of format 2, which lacks `given`, gets it when
-//! it is opened.
+//! One transaction changes all tables, so they are always consistent. A file of format 2, which lacks these four tables, gets
+//! them when it is opened.
 //!
 //! # Assumptions about the medium
 //! A sync that has returned has written its data. A write that was not synced may be there, missing, or there in
@@ -85,8 +88,8 @@ use write::{EntityCache, Totals};
 
 /// The format that this program writes and reads.
 const FORMAT: u64 = 3;
-/// The earlier format, which lacks the table `given`.
-const FORMAT_WITHOUT_GIVEN: u64 = 2;
+/// The earlier format, which lacks the tables `ages`, `kept`, `removed` and `given`.
+const EARLIER_FORMAT: u64 = 2;
 /// Snapshots that are loaded together, and about how many bytes of them.
 const PAGE_SIZE: usize = 8192;
 const MAX_PAGE_BYTES: u64 = 16 << 20;
@@ -98,6 +101,9 @@ const INDEX: TableDefinition<'_, (u64, u64), RecordPlace> = TableDefinition::new
 const CHUNKS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("chunks");
 const BLOBS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("blobs");
 const BLOB_USES: TableDefinition<'_, &[u8], u64> = TableDefinition::new("blob_uses");
+const AGES: TableDefinition<'_, (u64, u64), ()> = TableDefinition::new("ages");
+const KEPT: TableDefinition<'_, u64, u64> = TableDefinition::new("kept");
+const REMOVED: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("removed");
 const GIVEN: TableDefinition<'_, u64, u64> = TableDefinition::new("given");
 const NAMED: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("named");
 

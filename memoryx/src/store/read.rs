@@ -10,7 +10,7 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 use super::error::Fault;
 use super::record::{self, Hash, RecordError};
 use super::write::OF_OTHERS;
-use super::{BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, LongTermMemory, RecordPlace, StoreError};
+use super::{AGES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, RecordPlace, StoreError};
 use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -26,6 +26,8 @@ pub(super) struct Reader {
     blobs: ReadOnlyTable<&'static [u8], &'static [u8]>,
     entities: ReadOnlyTable<&'static [u8], (u64, bool)>,
     given: ReadOnlyTable<u64, u64>,
+    ages: ReadOnlyTable<(u64, u64), ()>,
+    kept: ReadOnlyTable<u64, u64>,
     /// The last chunk read.
     last: RefCell<Option<(u64, Chunk)>>,
 }
@@ -49,6 +51,8 @@ impl Reader {
             blobs: transaction.open_table(BLOBS)?,
             entities: transaction.open_table(ENTITIES)?,
             given: transaction.open_table(GIVEN)?,
+            ages: transaction.open_table(AGES)?,
+            kept: transaction.open_table(KEPT)?,
             last: RefCell::new(None),
         })
     }
@@ -88,6 +92,21 @@ impl Reader {
     /// The newest version of an entity, and its row.
     pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, RecordPlace)>, Fault> {
         self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
+    }
+
+    /// When the newest record of the oldest chunk arrived that retention has not come to, ns.
+    pub(super) fn oldest_chunk(&self) -> Result<Option<u64>, Fault> {
+        let oldest = self.ages.first()?;
+        Ok(oldest.map(|(key, _)| key.value().0))
+    }
+
+    /// Whether a record is forgotten, though its chunk is still there.
+    pub(super) fn is_forgotten(&self, chunk: u64, offset: usize, head: record::Head) -> Result<bool, Fault> {
+        if self.kept.get(chunk)?.is_none() {
+            return Ok(false);
+        }
+        let row = self.index.get((head.number, head.version))?.map(|row| row.value());
+        Ok(row.is_none_or(|row| (row.0, row.1 as usize) != (chunk, offset)))
     }
 
     /// The last version that an entity was noted to have been given.
@@ -377,10 +396,15 @@ impl LongTermMemory {
             let ids = reader.addresses()?;
             let rows = reader.chunks.iter()?;
             for row in rows {
-                let (_, chunk) = row?;
+                let (number, chunk) = row?;
                 let mut rest = chunk.value();
                 while !rest.is_empty() {
+                    let offset = chunk.value().len() - rest.len();
                     let (snapshot, length) = match record::head(rest) {
+                        Ok(head) if reader.is_forgotten(number.value(), offset, head)? => {
+                            rest = &rest[head.length..];
+                            continue;
+                        }
                         Ok(head) => {
                             let id = ids.get(&head.number);
                             let id = id.ok_or(RecordError::NoAddress { number: head.number });

@@ -242,10 +242,10 @@ impl Core {
         if instances.is_empty() && !is_new {
             return Ok(());
         }
-        let whole = Usage { entities: self.limits.entities, bytes: self.limits.bytes };
+        let limit = |entities, bytes| Usage { entities, bytes, ..Usage::default() };
+        let whole = limit(self.limits.entities, self.limits.bytes);
         let shares = self.limits.shares;
-        let share =
-            Usage { entities: whole.entities / shares as usize, bytes: whole.bytes / u64::from(shares) };
+        let share = limit(whole.entities / shares as usize, whole.bytes / u64::from(shares));
         let of_owner = owner.map(|owner| (held.usage(owner), share));
         let bytes = bytes_of(id, instances);
         for (taken, most) in std::iter::once((held.all(), whole)).chain(of_owner) {

@@ -223,9 +223,24 @@ impl WorkingMemory {
         self.core.content().all().bytes
     }
 
+    /// What each owner of provider segments takes: `OWNER/entities`, `OWNER/bytes`, and `OWNER/updates`, which is how many
+    /// snapshots were inserted so far.
+    pub fn usage(&self) -> BTreeMap<String, u64> {
+        let of_owner = |(owner, usage): (&str, content::Usage)| {
+            [("entities", usage.entities as u64), ("bytes", usage.bytes), ("updates", usage.updates)]
+                .map(|(what, count)| (format!("{owner}/{what}"), count))
+        };
+        self.core.content().owners().flat_map(of_owner).collect()
+    }
+
     /// When its last change arrived, ns.
     pub(crate) fn last_arrival_ns(&self) -> u64 {
         self.core.content().last_arrival()
+    }
+
+    /// How many snapshots were inserted so far.
+    pub fn updates(&self) -> u64 {
+        self.core.content().all().updates
     }
 
     /// Whether it is empty.
