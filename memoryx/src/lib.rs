@@ -1,4 +1,4 @@
-//! MemoryX: working memory, long-term memory, prior knowledge and the observer.
+//! MemoryX: working memory, long-term memory and prior knowledge.
 //!
 //! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] reads, changes and writes an entity.
 //! - [`EntityId`], [`Snapshot`], [`Commit`]: the data model; [`Query`]: what can be asked.
@@ -9,7 +9,6 @@
 //! - [`Following`]: a copy of another agent's knowledge, in one's own frame; [`AgentMemory`]: all parts of an agent's
 //!   memory.
 //! - [`updater`]: turns observations into entities: matching, fusion, motion models.
-//! - [`Observer`]: turns conditions on memory into events.
 //! - [`Inference`]: conclusions from memory, with confidence and provenance.
 //! - [`LongTermMemory`]: storage on disk; [`Consolidator`] decides what is stored.
 //!
@@ -26,7 +25,6 @@ mod follow;
 pub mod infer;
 pub mod maintain;
 mod memory;
-mod observer;
 mod place;
 pub mod prior;
 mod query;
@@ -49,7 +47,6 @@ pub use filter::Filter;
 pub use follow::{Change, Follower, LastSeen};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use memory::{Head, Heads, Memory, Pages, modify, pages};
-pub use observer::{Condition, MemoryEvent, Observer};
 pub use place::{SpatialRegion, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Cursor, Pattern, Query, Times};

@@ -15,7 +15,7 @@ use super::write::Writer;
 use super::{LongTermMemory, StoreError, record};
 
 /// Chunks that are forgotten in one transaction, so that no commit waits long.
-const MAX_FORGOTTEN: usize = 16;
+const MAX_FORGOTTEN: usize = 8;
 /// Chunks that are joined in one transaction.
 const MAX_JOINED: usize = 256;
 /// A chunk below this many bytes is joined with others.

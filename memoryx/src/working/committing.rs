@@ -5,6 +5,7 @@
 //! microseconds, and whoever commits does it.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
@@ -26,13 +27,14 @@ pub(super) struct Request {
     pub(super) sent_ns: u64,
     /// Whether they are prior knowledge.
     pub(super) prior: bool,
-    /// Takes the result.
-    pub(super) answer: Box<dyn FnOnce(CommitResult) + Send>,
 }
+
+/// Takes the result of a request.
+pub(super) type Answer = Box<dyn FnOnce(CommitResult) + Send>;
 
 /// The thread that commits for a memory with a backing. Dropping it waits until it has answered everything.
 pub(super) struct CommittingThread {
-    requests: Option<mpsc::Sender<Request>>,
+    requests: Option<mpsc::Sender<(Request, Answer)>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -40,21 +42,23 @@ impl CommittingThread {
     /// # Errors
     /// [`MemoryError::Store`] when the system gives no more threads.
     pub(super) fn start(core: Arc<Core>) -> Result<Self, MemoryError> {
-        let (requests, waiting) = mpsc::channel::<Request>();
+        let (requests, waiting) = mpsc::channel::<(Request, Answer)>();
         // In virtual time, whoever commits waits on his own thread, so that the clock waits with him.
         let thread = std::thread::Builder::new().name("memory".into()).spawn(move || {
             while let Ok(first) = waiting.recv() {
                 let more = waiting.try_iter().take(MAX_GROUP - 1);
-                core.commit_together(std::iter::once(first).chain(more).collect());
+                let (requests, answers): (Vec<_>, Vec<_>) = std::iter::once(first).chain(more).unzip();
+                let results = core.commit_together(requests);
+                answers.into_iter().zip(results).for_each(|(answer, result)| answer(result));
             }
         });
         let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread for it: {e}") })?;
         Ok(Self { requests: Some(requests), thread: Some(thread) })
     }
 
-    pub(super) fn commit(&self, request: Request) {
-        // If the thread has ended, the request is dropped here, which its sender notices.
-        let _ = self.requests.as_ref().map(|requests| requests.send(request));
+    pub(super) fn commit(&self, request: Request, answer: Answer) {
+        // If the thread has ended, the answer is dropped here, which its receiver notices.
+        let _ = self.requests.as_ref().map(|requests| requests.send((request, answer)));
     }
 }
 
@@ -88,25 +92,23 @@ impl WriterState {
 }
 
 impl Core {
-    /// Commits requests together, and answers each.
-    pub(super) fn commit_together(&self, requests: Vec<Request>) {
+    /// Commits requests together. Returns the result of each.
+    pub(super) fn commit_together(&self, requests: Vec<Request>) -> Vec<CommitResult> {
         let mut writer = self.writer.lock();
         if let Err(error) = self.settle(&mut writer) {
-            return requests.into_iter().for_each(|request| (request.answer)(Err(error.clone())));
+            return requests.iter().map(|_| Err(error.clone())).collect();
         }
         // Arrival times tell the order of commits, whatever the clock does.
         writer.last_arrival = self.now_ns().max(writer.last_arrival.saturating_add(1));
         let mut next = Content::clone(&self.content());
-        let (mut group, mut taken) = (Vec::new(), Vec::with_capacity(requests.len()));
-        for Request { updates, sent_ns, prior, answer } in requests {
+        let mut group = Vec::new();
+        let number = |request| {
             let from = group.len();
-            match self.number(updates, sent_ns, prior, &writer, &mut next, &mut group) {
-                Ok(()) => taken.push((answer, from..group.len())),
-                Err(error) => answer(Err(error)),
-            }
-        }
-        if taken.is_empty() {
-            return;
+            self.number(request, &writer, &mut next, &mut group).map(|()| from..group.len())
+        };
+        let numbered: Vec<_> = requests.into_iter().map(number).collect();
+        if numbered.iter().all(Result::is_err) {
+            return numbered.into_iter().map(|refused| refused.map(|_| Vec::new())).collect();
         }
         let stored = self.backing.as_ref().filter(|_| !group.is_empty()).map_or(Ok(()), |b| b.take(&group));
         if stored.is_ok() {
@@ -116,11 +118,10 @@ impl Core {
             // If that is not possible now, the next commit does it.
             let _ = self.settle(&mut writer);
         }
-        drop(writer);
-        for (answer, range) in taken {
-            let versions = group.get(range).unwrap_or_default().iter().map(|s| s.version).collect();
-            answer(stored.clone().map(|()| versions));
-        }
+        let versions = |range: Range<usize>| {
+            stored.clone().map(|()| group.get(range).unwrap_or_default().iter().map(|s| s.version).collect())
+        };
+        numbered.into_iter().map(|range| range.and_then(versions)).collect()
     }
 
     /// Takes over the snapshots of a failed write if the backing has them after all, so that both agree.
@@ -150,13 +151,12 @@ impl Core {
     /// Checks updates, and adds numbered snapshots of them to `next` and `group`, which are unchanged after an error.
     fn number(
         &self,
-        updates: Vec<Commit>,
-        sent_ns: u64,
-        prior: bool,
+        request: Request,
         writer: &WriterState,
         next: &mut Content,
         group: &mut Vec<Arc<Snapshot>>,
     ) -> Result<(), MemoryError> {
+        let Request { updates, sent_ns, prior } = request;
         let from = group.len();
         // A single update changes nothing when it is refused.
         let before = (updates.len() > 1).then(|| next.clone());

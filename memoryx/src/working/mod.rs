@@ -274,7 +274,7 @@ impl WorkingMemory {
     ) -> impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<> {
         let (sender, answered) = oneshot::channel();
         let answer = Box::new(|result| drop(sender.send(result)));
-        self.request(Request { updates, sent_ns, prior: false, answer });
+        self.request(Request { updates, sent_ns, prior: false }, answer);
         async { answered.await.unwrap_or_else(|_| Err(ended())) }
     }
 
@@ -298,19 +298,22 @@ impl WorkingMemory {
     }
 
     fn commit_waiting(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
+        let request = Request { updates, sent_ns, prior };
+        if self.core.backing.is_none() {
+            return self.core.commit_together(vec![request]).pop().unwrap_or_else(|| Err(ended()));
+        }
         let (sender, answered) = mpsc::sync_channel(1);
-        let answer = Box::new(move |result| drop(sender.send(result)));
-        self.request(Request { updates, sent_ns, prior, answer });
+        self.request(request, Box::new(move |result| drop(sender.send(result))));
         answered.recv().unwrap_or_else(|_| Err(ended()))
     }
 
-    fn request(&self, request: Request) {
+    fn request(&self, request: Request, answer: committing::Answer) {
         if self.core.backing.is_none() {
-            return self.core.commit_together(vec![request]);
+            return answer(self.core.commit_together(vec![request]).pop().unwrap_or_else(|| Err(ended())));
         }
         match self.thread.get_or_init(|| CommittingThread::start(Arc::clone(&self.core))) {
-            Ok(thread) => thread.commit(request),
-            Err(error) => (request.answer)(Err(error.clone())),
+            Ok(thread) => thread.commit(request, answer),
+            Err(error) => answer(Err(error.clone())),
         }
     }
 
