@@ -114,6 +114,7 @@ impl Access {
             let asked = [
                 format!("{own}/memory"),
                 format!("{own}/memory/changes"),
+                format!("{own}/memory/changes/*"),
                 format!("{own}/memory/*/*/*"),
                 format!("{own}/alive/*"),
             ];

@@ -3,7 +3,8 @@
 //! ```text
 //! {agent}/memory                                   queryable: commit
 //! {agent}/memory/by/{writer}                       the same, for a writer who says who he is
-//! {agent}/memory/changes                           the memory's changes in their order, several in one message
+//! {agent}/memory/changes/{segment}                 a core segment's changes in their order, several in one message
+//! {agent}/memory/changes                           the same of all core segments
 //! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
 //! {agent}/image/{provider}                         frames; queryable: what the provider gives
 //! {agent}/image/{provider}/{coding}                the same frames as PNG or JPEG
@@ -94,8 +95,24 @@ pub fn memory_by_pattern(agent: &str) -> Result<KeyPattern, KeyError> {
 ///
 /// # Errors
 /// [`KeyError`].
-pub fn memory_changes(agent: &str) -> Result<Key, KeyError> {
+pub fn memory_all_changes(agent: &str) -> Result<Key, KeyError> {
     key(&[agent, "memory", "changes"])
+}
+
+/// The key on which a memory publishes the changes of one core segment in order.
+///
+/// # Errors
+/// [`KeyError`] when a name cannot be part of a key.
+pub fn memory_changes_of(agent: &str, segment: &str) -> Result<Key, KeyError> {
+    key(&[agent, "memory", "changes", segment])
+}
+
+/// The keys on which a memory publishes the changes of a core segment, or of each of them.
+///
+/// # Errors
+/// [`KeyError`] when a name cannot be part of a key.
+pub fn memory_changes(agent: &str, segment: Option<&str>) -> Result<KeyPattern, KeyError> {
+    pattern(&[Some(agent), Some("memory"), Some("changes"), segment])
 }
 
 /// One entity in an agent's memory.

@@ -283,7 +283,7 @@ fn solid(frame: Option<&str>, shape: &Shape) -> Option<Solid> {
 /// Tells the page what memory knows, as it changes. It runs on the page's thread, so that the run is the same without it.
 async fn tell_memory(memory: Arc<WorkingMemory>, timeline: Timeline) {
     loop {
-        let mut changes = memory.subscribe();
+        let mut changes = memory.changes(&Pattern::any());
         if let Ok(known) = memory.query(&Query::latest(Pattern::default())).await {
             known
                 .iter()

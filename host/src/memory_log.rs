@@ -42,7 +42,12 @@ pub(crate) type MemoryLog = Arc<Mutex<Vec<LoggedChange>>>;
 
 /// Logs a memory's changes of objects and their relations, until the memory closes.
 pub(crate) async fn keep(agent: String, memory: Arc<dyn Memory>, clock: Handle, log: MemoryLog) {
-    let mut follower = Follower::from_start(memory, Pattern::any());
+    let mut follower = match Follower::from_start(memory, Pattern::any()).await {
+        Ok(follower) => follower,
+        Err(error) => {
+            return tracing::warn!("the report has no section on the memory of `{agent}`: {error}");
+        }
+    };
     loop {
         let snapshot = match follower.next().await {
             Ok(Some(Change::New(snapshot))) => snapshot,

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use armarium_memoryx::Memory;
 use armarium_runtime::exec::Controller;
 use armarium_states::Equipment;
 use armarium_values::Value;
@@ -23,7 +22,7 @@ pub(crate) async fn watch_gestures(
     referee: armarium_simulator::Referee,
     recorder: SharedRecorder,
 ) {
-    let mut changes = memory.subscribe();
+    let mut changes = memory.changes(&armarium_memoryx::Pattern::segment("HumanHands"));
     loop {
         match changes.recv().await {
             Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {

@@ -21,6 +21,8 @@ use crate::share::{FollowSettings, Following};
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy, Retention};
 use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
 
+/// How often snapshots are stored that a policy has held back for long enough.
+const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
 /// How often long-term memory forgets what is old or too much.
 const RETENTION_INTERVAL: Duration = Duration::from_secs(60);
 /// How long to wait before connecting again to an agent that is absent.
@@ -128,7 +130,7 @@ impl AgentMemory {
         if let Some(file) = &config.store {
             let open = if config.shared { LongTermMemory::open_shared } else { LongTermMemory::open };
             let store = Arc::new(open(file)?);
-            let consolidator = Arc::new(Consolidator::new(Arc::clone(&store), config.policies.clone()));
+            let consolidator = Arc::new(Consolidator::new(Arc::clone(&store), config.policies.clone())?);
             memory = memory.with_backing(Arc::clone(&consolidator) as Arc<dyn Backing>);
             for segment in store.segments()?.iter().filter(|segment| config.restored.has(segment)) {
                 store.load_into(&memory, Pattern::segment(segment))?;
@@ -157,6 +159,9 @@ impl AgentMemory {
         for settings in &config.follow {
             self.tasks.spawn(follow(session.clone(), Arc::clone(&self.memory), settings.clone()));
         }
+        if let Some(kept) = &self.kept {
+            self.tasks.spawn(flush_now_and_then(Arc::clone(kept), Arc::clone(&self.memory)));
+        }
         if let Some(store) = store.filter(|_| config.retention != Retention::default()) {
             self.tasks.spawn(keep_within(store, Arc::clone(&self.memory), config.retention));
         }
@@ -184,7 +189,7 @@ impl AgentMemory {
         self.kept.as_ref().map(|kept| kept.store())
     }
 
-    /// Writes the snapshots that policies have held back so far.
+    /// Writes the snapshots that policies have held back so far; so does dropping this.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be written.
@@ -213,12 +218,37 @@ async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSe
     }
 }
 
+impl Drop for AgentMemory {
+    fn drop(&mut self) {
+        if let Err(error) = self.flush() {
+            tracing::warn!(%error, "what was held back is not in long-term memory");
+        }
+    }
+}
+
+/// Stores what a policy has held back for long enough. It never returns.
+async fn flush_now_and_then(kept: Arc<Consolidator>, memory: Arc<WorkingMemory>) {
+    loop {
+        tokio::time::sleep(FLUSH_INTERVAL).await;
+        let (kept, now_ns) = (Arc::clone(&kept), memory.now_ns());
+        if let Ok(Err(error)) = tokio::task::spawn_blocking(move || kept.flush_due(now_ns)).await {
+            tracing::warn!(%error, "what was held back could not be stored");
+        }
+    }
+}
+
 /// Applies retention to long-term memory every minute, by `memory`'s clock. It never returns.
 async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
     loop {
         tokio::time::sleep(RETENTION_INTERVAL).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());
         match tokio::task::spawn_blocking(move || store.retain(retention, now_ns)).await {
+            Ok(Ok(dropped)) if dropped.over > 0 => {
+                tracing::warn!(
+                    bytes = dropped.over,
+                    "long-term memory is larger than it is to be: the newest of each entity and named snapshots stay"
+                );
+            }
             Ok(Ok(dropped)) if dropped.snapshots > 0 => {
                 tracing::info!(
                     snapshots = dropped.snapshots,

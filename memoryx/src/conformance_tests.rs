@@ -93,7 +93,7 @@ async fn queries_take_what_they_ask_for(memory: &dyn Memory) {
 }
 
 async fn subscribers_hear_everything_in_order(memory: &dyn Memory) {
-    let mut changes = memory.subscribe();
+    let mut changes = memory.subscribe(&Pattern::segment(SEGMENT)).await.unwrap();
     for i in 0..20 {
         memory.commit(vec![update("d", i, 0), update("e", i, 0)]).await.unwrap();
     }

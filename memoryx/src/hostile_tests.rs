@@ -100,6 +100,10 @@ impl Backing for Counting {
         Ok(0)
     }
 
+    fn holds_any(&self, _: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+        Ok(false)
+    }
+
     fn take(&self, _: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
         self.takes.fetch_add(1, Ordering::Relaxed);
         while self.disk_is_busy.load(Ordering::Acquire) {

@@ -1,4 +1,4 @@
-//! MemoryX: working memory, long-term memory, prior knowledge and the observer.
+//! MemoryX: working memory, long-term memory and prior knowledge.
 //!
 //! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] reads, changes and writes an entity.
 //! - [`EntityId`], [`Snapshot`], [`Commit`]: the data model; [`Query`]: what can be asked.
@@ -9,7 +9,6 @@
 //! - [`Following`]: a copy of another agent's knowledge, in one's own frame; [`AgentMemory`]: all parts of an agent's
 //!   memory.
 //! - [`updater`]: turns observations into entities: matching, fusion, motion models.
-//! - [`Observer`]: turns conditions on memory into events.
 //! - [`Inference`]: conclusions from memory, with confidence and provenance.
 //! - [`LongTermMemory`]: storage on disk; [`Consolidator`] decides what is stored.
 //!
@@ -17,6 +16,7 @@
 
 mod agent;
 mod attributes;
+mod changes;
 mod checked_query;
 mod entity;
 mod error;
@@ -25,7 +25,6 @@ mod follow;
 pub mod infer;
 pub mod maintain;
 mod memory;
-mod observer;
 mod place;
 pub mod prior;
 mod query;
@@ -40,14 +39,14 @@ mod working;
 
 pub use agent::{AgentMemory, MemoryConfig, Restored};
 pub use attributes::Attributes;
+pub use changes::Changes;
 pub use checked_query::{Answer, CheckedQuery};
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
 pub use follow::{Change, Follower, LastSeen};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
-pub use memory::{Memory, Pages, modify, pages};
-pub use observer::{Condition, MemoryEvent, Observer};
+pub use memory::{Head, Heads, Memory, Pages, modify, pages};
 pub use place::{SpatialRegion, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Cursor, Pattern, Query, Times};

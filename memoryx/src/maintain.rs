@@ -21,14 +21,21 @@ pub fn carry_out(
         counts: counts.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         words: Vec::new(),
     };
-    let working = [("working_entities", memory.len() as u64), ("working_bytes", memory.bytes())];
+    if matches!(request, Maintain::Usage) {
+        return Ok(MaintenanceReport { counts: memory.usage(), words: Vec::new() });
+    }
+    let working = [
+        ("working_entities", memory.len() as u64),
+        ("working_bytes", memory.bytes()),
+        ("working_updates", memory.updates()),
+    ];
     let Some(store) = store else {
         let what = "it has no file: start the agent with --store FILE".into();
         let is_stats = matches!(request, Maintain::Stats);
         return if is_stats { Ok(counted(&working)) } else { Err(MemoryError::Store { what }) };
     };
     Ok(match request {
-        Maintain::Stats => {
+        Maintain::Stats | Maintain::Usage => {
             let stats = store.stats()?;
             let kept = [
                 ("entities", stats.entities),
@@ -69,7 +76,8 @@ pub fn carry_out(
         }
         Maintain::Retain { age_ns, bytes } => {
             let dropped = store.retain(Retention { age_ns, bytes }, memory.now_ns())?;
-            counted(&[("dropped", dropped.snapshots), ("freed_bytes", dropped.bytes)])
+            let over = ("bytes_over", dropped.over);
+            counted(&[("dropped", dropped.snapshots), ("freed_bytes", dropped.bytes), over])
         }
         Maintain::Keep { snapshots } => {
             snapshots.iter().try_for_each(|snapshot| memory.check_kept(snapshot))?;

@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 use async_trait::async_trait;
-use tokio::sync::broadcast;
 
+use crate::changes::Changes;
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
@@ -48,13 +48,56 @@ pub trait Memory: Send + Sync {
     /// # Errors
     /// [`MemoryError::Query`] when the query is invalid; [`MemoryError::Store`] when the memory cannot be read.
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// All later changes, those of each entity in order. A receiver that lags learns how many it missed;
-    /// [`crate::Follower`] reports which, and reads them again where the memory still has them.
-    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
-    /// The arrival time, ns, before which subscribers have received everything. `None` where they receive all changes
-    /// in the order of arrival, so that each change gives this time itself.
-    fn complete_until(&self) -> Option<u64> {
-        None
+    /// The newest version of each entity that matches, removed ones included, without its content. An answer costs about
+    /// 60 bytes an entity.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when the memory cannot be read.
+    async fn heads(&self, pattern: &Pattern) -> Result<Heads, MemoryError> {
+        let all = Query { removed: true, ..Query::latest(pattern.clone()) };
+        Ok(Heads::of(&self.query(&all).await?))
+    }
+    /// All later changes of the entities that match, those of each entity in order. A subscriber that lags learns how many
+    /// he missed; [`crate::Follower`] reads them again where the memory still has them.
+    ///
+    /// # Errors
+    /// [`MemoryError::Remote`] when the memory cannot be reached.
+    async fn subscribe(&self, pattern: &Pattern) -> Result<Changes, MemoryError>;
+}
+
+/// The newest versions of entities.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Heads {
+    /// In order of address.
+    pub entities: Vec<Head>,
+    /// Every change that arrived in the memory before this time is in it, ns.
+    pub until_ns: u64,
+}
+
+/// The newest version of an entity.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Head {
+    /// The entity.
+    pub id: EntityId,
+    /// Its newest version.
+    pub version: u64,
+    /// When that arrived in the memory, ns.
+    pub arrived_ns: u64,
+    /// Whether it is a removal.
+    pub removed: bool,
+}
+
+impl Heads {
+    /// The heads of the newest snapshots of entities.
+    pub(crate) fn of(newest: &[Arc<Snapshot>]) -> Self {
+        let head = |snapshot: &Arc<Snapshot>| Head {
+            id: snapshot.id.clone(),
+            version: snapshot.version,
+            arrived_ns: snapshot.arrived_ns,
+            removed: snapshot.is_removed(),
+        };
+        let until_ns = newest.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0);
+        Self { entities: newest.iter().map(head).collect(), until_ns }
     }
 }
 

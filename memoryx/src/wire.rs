@@ -4,11 +4,13 @@
 //! |---|---|---|
 //! | get `{agent}/memory` | `memoryx/commit;v1`: [`CommitRequest`] | `memoryx/versions;v1`: list of versions |
 //! | get `{agent}/memory` | `memoryx/query;v1`: [`QueryRequest`] | `memoryx/snapshots;v2`: [`Snapshots`], a part where there is more |
+//! | get `{agent}/memory` | `memoryx/list;v1`: [`HeadsRequest`] | `memoryx/heads;v1`: [`HeadsPart`] |
 //! | get `{agent}/memory` | `memoryx/maintain;v1`: [`Maintain`] | `memoryx/report;v1`: [`MaintenanceReport`] |
 //! | get `{agent}/memory/{segment}/{provider}/{entity}`, `*` allowed | - | `memoryx/entity;v1` each, on its own key |
 //! | put `{agent}/memory/{segment}/{provider}/{entity}` by others | `memoryx/update;v1`: [`Commit`] | - |
 //! | put `{agent}/memory/{segment}/{provider}/{entity}` by the memory, while anybody subscribes | `memoryx/entity;v1`: [`Snapshot`] | - |
-//! | put `{agent}/memory/changes` by the memory | `memoryx/changes;v1`: [`Changes`] | - |
+//! | put `{agent}/memory/changes/{segment}` by the memory | `memoryx/changes;v1`: [`ChangesMessage`] | - |
+//! | put `{agent}/memory/changes` by the memory, while anybody subscribes | the same, of all core segments | - |
 //!
 //! A refusal is an error reply with `memoryx/error;v1`: [`MemoryError`]. Parameters of a get on entities, times in ns:
 //! none (the newest), `history`, `at=T`, `before=T`, `from=T;to=T`, `index=I,J`, and with each `limit=N`, `filter=CEL` (without `;` and
@@ -20,7 +22,7 @@ use std::sync::Arc;
 use armarium_bus::{Bounds, CodecError, Key, KeyPattern, Payload, keys};
 use serde::{Deserialize, Serialize};
 
-use crate::entity::{Commit, Snapshot};
+use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
 
@@ -66,9 +68,29 @@ pub struct Snapshots {
     pub next: Option<Cursor>,
 }
 
+/// Asks for the newest versions of entities, without their content.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct HeadsRequest {
+    /// Which entities.
+    pub pattern: Pattern,
+    /// Only entities after this one.
+    pub after: Option<EntityId>,
+}
+
+/// The newest versions of entities in order of address, or the first part of them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct HeadsPart {
+    /// Entity, version, arrival time, ns, and whether it is a removal.
+    pub entities: Vec<(EntityId, u64, u64, bool)>,
+    /// If there are more: those after this entity.
+    pub next: Option<EntityId>,
+}
+
 /// Changes of a memory, in order. An idle memory sends an empty list, with the number of changes so far.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Changes {
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ChangesMessage {
     /// When the publisher started, ns; the count begins at 0 with it.
     pub epoch: u64,
     /// How many changes were published before these.
@@ -87,6 +109,8 @@ pub struct Changes {
 pub enum Maintain {
     /// Count what is there.
     Stats,
+    /// Count what each owner of provider segments takes, and has written.
+    Usage,
     /// Read and check everything.
     Verify,
     /// Return free space to the file system.
@@ -136,7 +160,9 @@ armarium_bus::payloads! {
     Versions: "memoryx/versions", 1;
     QueryRequest: "memoryx/query", 1;
     Snapshots: "memoryx/snapshots", 2;
-    Changes: "memoryx/changes", 1;
+    ChangesMessage: "memoryx/changes", 1;
+    HeadsRequest: "memoryx/list", 1;
+    HeadsPart: "memoryx/heads", 1;
     Maintain: "memoryx/maintain", 1;
     MaintenanceReport: "memoryx/report", 1;
     Snapshot: "memoryx/entity", 1;

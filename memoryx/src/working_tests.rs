@@ -63,6 +63,9 @@ fn a_backing_that_fails_refuses_the_commit() {
         fn last_version(&self, _: &EntityId) -> Result<u64, MemoryError> {
             Ok(41)
         }
+        fn holds_any(&self, _: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+            Ok(false)
+        }
         fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
             match snapshots.len() {
                 1 => Ok(()),
@@ -104,7 +107,7 @@ async fn a_follower_resumes_where_it_was() {
         memory.commit_now(vec![update("a", i, 0)]).unwrap();
     }
     let mut follower =
-        Follower::resume(Arc::<WorkingMemory>::clone(&memory), Pattern::any(), told, 0).await.unwrap();
+        Follower::resume(Arc::<WorkingMemory>::clone(&memory), Pattern::any(), told).await.unwrap();
     let mut seen = Vec::new();
     for change in follower.drain(100).await.unwrap() {
         seen.push(match change {

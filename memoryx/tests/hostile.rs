@@ -141,7 +141,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
     }
 
     // Puts, which have no answer: on the keys of entities, and on the key on which Alice publishes her changes.
-    let told = keys::memory_changes("alice").unwrap();
+    let told = keys::memory_changes_of("alice", "Things").unwrap();
     let put = encode(&full).unwrap();
     for round in 0..600 {
         let key = if round % 2 == 0 { &entity } else { &told };
@@ -149,7 +149,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
     }
 
     // Everything still works: commits, changes, queries, gets, puts, maintenance.
-    let mut changes = carol.subscribe();
+    let mut changes = carol.subscribe(&Pattern::segment("Things")).await.unwrap();
     assert_eq!(carol.commit(vec![update("carol", "plate", 1)]).await, Ok(vec![1]));
     loop {
         let change = changes.recv().await.unwrap();
@@ -222,7 +222,7 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let lazy = connected(&far).await;
     let (release, stuck) = mpsc::channel::<()>();
     let stuck = Mutex::new(stuck);
-    let changes_of_alice = keys::memory_changes("alice").unwrap();
+    let changes_of_alice = keys::memory_changes("alice", None).unwrap();
     let never = lazy.zenoh().declare_subscriber(changes_of_alice.as_str().to_owned());
     let wait = move |_| {
         let _ = stuck.lock().recv();
@@ -230,7 +230,7 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let never = never.callback(wait).await.unwrap();
     let near = connected(&far).await;
     let carol = RemoteMemory::connect(&near, "alice").await.unwrap();
-    let mut changes = carol.subscribe();
+    let mut changes = carol.subscribe(&Pattern::segment("Things")).await.unwrap();
     let before = resident_mb();
     // 200 MB of changes.
     let (count, bytes) = (2000_u64, 100_000);

@@ -91,7 +91,7 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
     // A writer writes segments of his own name, sees his changes, and is refused for other segments.
     let session = open(authority.tls("bob")).await.unwrap();
     let bob = RemoteMemory::connect_as(&session, "alice", "bob").await.unwrap();
-    let mut changes = bob.subscribe();
+    let mut changes = bob.subscribe(&Pattern::any()).await.unwrap();
     assert_eq!(bob.commit(commit("bob", "sponge")).await, Ok(vec![1]));
     assert_eq!(changes.recv().await.unwrap().id.as_str(), "Things/bob/sponge");
     assert_eq!(bob.commit(commit("bob.vision", "plate")).await, Ok(vec![1]));

@@ -15,6 +15,8 @@ use armarium_values::Value;
 
 /// Tells the second process what to do: the file, and its own name.
 const CHILD: &str = "ARMARIUM_TEST_WRITER";
+/// The name of a writer that opens the file for itself.
+const ALONE: &str = "alone";
 /// How many versions each writes.
 const VERSIONS: i64 = 40;
 
@@ -48,14 +50,56 @@ fn write(file: &Path, writer: &str, said: &mut dyn Write) {
 fn as_another_process() {
     if let Ok(task) = std::env::var(CHILD) {
         let (writer, file) = task.split_once(' ').unwrap();
+        if writer == ALONE {
+            return own(Path::new(file), &mut std::io::stdout());
+        }
         write(Path::new(file), writer, &mut std::io::stdout());
     }
+}
+
+/// Opens the file for itself, commits, says so, and keeps it until the standard input ends; or says that it cannot.
+fn own(file: &Path, said: &mut dyn Write) {
+    let config = MemoryConfig::new("local").with_store(file);
+    match AgentMemory::open(&config, Arc::new(|| 1)) {
+        Ok(agent) => {
+            let commit = Commit::new(EntityId::new("Motions", "local", "wiping").unwrap(), 0, []);
+            for _ in 0..10 {
+                agent.memory().commit_now(vec![commit.clone()]).unwrap();
+            }
+            writeln!(said, "has it").unwrap();
+            let _ = std::io::stdin().lines().count();
+        }
+        Err(error) => writeln!(said, "lost: {error}").unwrap(),
+    }
+}
+
+/// Of two processes that are started at once on a new file, one has it, and the other is told so.
+#[test]
+fn exactly_one_process_gets_a_new_file() {
+    let folder = tempfile::tempdir().unwrap();
+    for round in 0..20 {
+        let file = folder.path().join(format!("{round}.redb"));
+        let mut children = [ALONE, ALONE].map(|name| start(name, &file));
+        let said = children.each_mut().map(|child| {
+            let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+            lines.into_iter().find(|line| line.contains("has it") || line.contains("lost: ")).unwrap()
+        });
+        for mut child in children {
+            drop(child.stdin.take());
+            child.wait().unwrap();
+        }
+        let winners = said.iter().filter(|line| line.contains("has it")).count();
+        assert_eq!(winners, 1, "{said:?}");
+        let store = LongTermMemory::open(&file).unwrap();
+        assert_eq!(store.query(&Query::history(Pattern::any())).unwrap().len(), 10);
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 20, "nothing else is left in the folder");
 }
 
 fn start(writer: &str, file: &Path) -> Child {
     let mut program = Command::new(std::env::current_exe().unwrap());
     program.args(["as_another_process", "--exact"]).env(CHILD, format!("{writer} {}", file.display()));
-    program.stdout(Stdio::piped()).spawn().unwrap()
+    program.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
 }
 
 fn contents(file: &Path) -> Vec<(u64, String, i64)> {

@@ -70,8 +70,19 @@ enum MemoryCommand {
     Put(PutArgs),
     /// Join what another program observes with what is known: a line of JSON on standard input for each observation.
     Observe(observe::ObserveArgs),
-    /// Show changes as they come.
+    /// Show changes as they come; with `--last`, first those that came last.
+    #[command(alias = "tail")]
     Watch(WatchArgs),
+    /// Show who writes how fast, and what it takes: each owner of provider segments, every second until Ctrl-C.
+    Top {
+        /// Show one second, and end.
+        #[arg(long)]
+        once: bool,
+    },
+    /// Print the numbers of `stats` in OpenMetrics text, for programs that collect metrics.
+    Metrics,
+    /// Commit and remove an entity, and say how long that took. Exit status 1 when it fails.
+    Health,
     /// Query by pattern, time, place and expression.
     Query(QueryArgs),
     /// Store the whole working memory under a name, and load it back.
@@ -173,6 +184,9 @@ struct WatchArgs {
     /// Only snapshots for which a CEL expression is true.
     #[arg(long, value_name = "CEL")]
     filter: Option<String>,
+    /// First the N entities that have changed last, as they are.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    last: usize,
     /// End after this many changes.
     #[arg(long, value_name = "N")]
     count: Option<usize>,

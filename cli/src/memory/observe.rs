@@ -11,6 +11,7 @@ use tokio::sync::mpsc;
 
 use super::Failure;
 use super::reach::Reached;
+use crate::stopped::stopped;
 
 /// Longest line, bytes.
 const LONGEST: u64 = 1 << 20;
@@ -51,7 +52,7 @@ pub(super) async fn observe(
     for number in 1_u64.. {
         let line = tokio::select! {
             biased;
-            ended = tokio::signal::ctrl_c() => return Ok(ended.map(|()| 0)?),
+            () = stopped() => return Ok(0),
             line = lines.recv() => line,
         };
         let Some(line) = line else { break };

@@ -12,6 +12,7 @@ use super::reach::USUAL_ENDPOINT;
 use super::{Failure, Inferences, LOCAL, MemoryArgs, keep};
 use crate::connection_args::AccessArgs;
 use crate::render_findings::lines;
+use crate::stopped::stopped;
 use armarium_host::connection::take_name;
 
 #[derive(Clone, Debug, Args)]
@@ -40,7 +41,7 @@ pub(super) struct ServeArgs {
     kept: keep::KeepArgs,
 }
 
-/// Runs until Ctrl-C.
+/// Runs until Ctrl-C or the system's request to end.
 pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Write) -> Result<u8, Failure> {
     if args.agent != LOCAL {
         let what =
@@ -82,7 +83,7 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
         agent.memory().len()
     )?;
     out.flush()?;
-    tokio::signal::ctrl_c().await?;
+    stopped().await;
     drop(agent);
     // If the session cannot be closed, it ends with the process.
     let _ = session.close().await.is_ok();

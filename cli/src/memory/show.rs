@@ -90,6 +90,52 @@ impl Printer {
         Ok(())
     }
 
+    /// What each owner of provider segments takes, and how much it has written since `before`, a second ago.
+    pub(super) fn owners(
+        &mut self,
+        before: &BTreeMap<String, u64>,
+        now: &BTreeMap<String, u64>,
+        out: &mut dyn Write,
+    ) -> Result<(), Failure> {
+        if !self.json {
+            writeln!(out, "{:<32} {:>10} {:>14} {:>12}", "owner", "entities", "bytes", "updates/s")?;
+        }
+        for owner in now.keys().filter_map(|name| name.strip_suffix("/entities")) {
+            let count = |counts: &BTreeMap<String, u64>, what: &str| {
+                counts.get(&format!("{owner}/{what}")).copied().unwrap_or(0)
+            };
+            let (entities, bytes) = (count(now, "entities"), count(now, "bytes"));
+            let rate = count(now, "updates").saturating_sub(count(before, "updates"));
+            if self.json {
+                let row =
+                    json!({ "owner": owner, "entities": entities, "bytes": bytes, "updates_per_s": rate });
+                writeln!(out, "{row}")?;
+            } else {
+                writeln!(out, "{owner:<32} {entities:>10} {bytes:>14} {rate:>12}")?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Numbers by name as OpenMetrics text.
+    ///
+    /// # Source
+    /// OpenMetrics 1.0, "Text format".
+    pub(super) fn metrics(
+        &self,
+        agent: &str,
+        counts: &BTreeMap<String, u64>,
+        out: &mut dyn Write,
+    ) -> Result<(), Failure> {
+        let label = agent.replace('\\', r"\\").replace('"', "\\\"");
+        for (name, count) in counts {
+            let (kind, total) = if name.ends_with("updates") { ("counter", "_total") } else { ("gauge", "") };
+            writeln!(out, "# TYPE armarium_memory_{name} {kind}")?;
+            writeln!(out, "armarium_memory_{name}{total}{{agent=\"{label}\"}} {count}")?;
+        }
+        Ok(writeln!(out, "# EOF")?)
+    }
+
     /// Prints how many changes were lost because printing was too slow.
     pub(super) fn lagged(&self, count: u64, out: &mut dyn Write) -> Result<(), Failure> {
         if self.json {
@@ -188,6 +234,20 @@ mod tests {
         let fields = [("width", Value::Int(2)), ("data", Value::Bytes(vec![0; 6]))];
         let image = Value::Map(fields.map(|(name, value)| (name.to_owned(), value)).into());
         assert_eq!(plain(&image), "{data: 6 bytes, width: 2}");
+    }
+
+    #[test]
+    fn numbers_are_open_metrics() {
+        let counts = [("working_bytes", 7), ("working_updates", 3)];
+        let counts = counts.map(|(name, count)| (name.to_owned(), count)).into();
+        let mut out = Vec::new();
+        assert!(Printer::new(false).metrics("a\"b", &counts, &mut out).is_ok());
+        let expected = "# TYPE armarium_memory_working_bytes gauge\n\
+                        armarium_memory_working_bytes{agent=\"a\\\"b\"} 7\n\
+                        # TYPE armarium_memory_working_updates counter\n\
+                        armarium_memory_working_updates_total{agent=\"a\\\"b\"} 3\n\
+                        # EOF\n";
+        assert_eq!(String::from_utf8(out).unwrap(), expected);
     }
 
     #[test]

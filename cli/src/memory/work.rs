@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
@@ -16,9 +17,10 @@ use tokio::sync::broadcast::error::RecvError;
 use super::reach::Reached;
 use super::show::Printer;
 use super::{
-    ExportArgs, Failure, GetArgs, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand, WatchArgs,
-    keep, serve,
+    ExportArgs, Failure, GetArgs, LOCAL, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand,
+    WatchArgs, keep, serve,
 };
+use crate::stopped::stopped;
 
 /// Snapshots per import request.
 const BATCH: usize = 1000;
@@ -42,6 +44,15 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
         }
         MemoryCommand::Observe(observe) => return super::observe::observe(reached, observe, out).await,
         MemoryCommand::Watch(watch) => self::watch(&reached, watch, &mut shown, out).await?,
+        MemoryCommand::Top { once } => top(&reached, *once, &mut shown, out).await?,
+        MemoryCommand::Metrics => {
+            let report = reached.maintain(Maintain::Stats).await?;
+            shown.metrics(&args.agent, &report.counts, out)?;
+        }
+        MemoryCommand::Health => {
+            let took = health(&reached, args).await?;
+            shown.counts(&[("answered_in_us".to_owned(), took)].into(), out)?;
+        }
         MemoryCommand::Query(query) => {
             let count = reached.each(self::query(query)?, |s| shown.row(s, out)).await?;
             shown.end(count, "snapshots", out)?;
@@ -196,18 +207,24 @@ async fn watch(
 ) -> Result<(), Failure> {
     let pattern = pattern(&watch.pattern.pattern)?;
     let filter = watch.filter.as_deref().map(Filter::compile).transpose()?;
-    let mut changes = reached.memory().subscribe();
+    let mut changes = reached.memory().subscribe(&pattern).await?;
     let mut left = watch.count.unwrap_or(usize::MAX);
+    for snapshot in changed_last(reached, &pattern, watch.last).await? {
+        if filter.as_ref().is_none_or(|filter| filter.fits(&snapshot)) {
+            shown.row(&snapshot, out)?;
+        }
+    }
+    out.flush()?;
     while left > 0 {
         let change = tokio::select! {
             biased;
-            ended = tokio::signal::ctrl_c() => return Ok(ended?),
+            () = stopped() => return Ok(()),
             change = changes.recv() => change,
         };
         match change {
             Ok(snapshot) => {
                 let fits = filter.as_ref().is_none_or(|filter| filter.fits(&snapshot));
-                if pattern.matches(&snapshot.id) && fits {
+                if fits {
                     shown.row(&snapshot, out)?;
                     out.flush()?;
                     left -= 1;
@@ -218,6 +235,55 @@ async fn watch(
         }
     }
     Ok(())
+}
+
+/// The newest snapshots of the entities that have changed last, in the order of their arrival.
+async fn changed_last(
+    reached: &Reached,
+    pattern: &Pattern,
+    count: usize,
+) -> Result<Vec<Arc<Snapshot>>, Failure> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let mut heads = reached.memory().heads(pattern).await?.entities;
+    heads.sort_by_key(|head| head.arrived_ns);
+    let mut last = Vec::new();
+    for head in heads.iter().rev().take(count).rev() {
+        let newest = Query { removed: true, ..Query::latest(Pattern::entity(&head.id)) };
+        last.extend(reached.memory().query(&newest).await?);
+    }
+    Ok(last)
+}
+
+/// Shows what each owner takes and has written in the last second, again and again.
+async fn top(reached: &Reached, once: bool, shown: &mut Printer, out: &mut dyn Write) -> Result<(), Failure> {
+    let mut before = reached.maintain(Maintain::Usage).await?.counts;
+    loop {
+        tokio::select! {
+            biased;
+            () = stopped() => return Ok(()),
+            () = tokio::time::sleep(Duration::from_secs(1)) => {}
+        }
+        let now = reached.maintain(Maintain::Usage).await?.counts;
+        shown.owners(&before, &now, out)?;
+        out.flush()?;
+        if once {
+            return Ok(());
+        }
+        before = now;
+    }
+}
+
+/// Commits and removes an entity of this command's own. Returns how long that took, us.
+async fn health(reached: &Reached, args: &MemoryArgs) -> Result<u64, Failure> {
+    let provider = args.writer.as_deref().unwrap_or(LOCAL);
+    let id = EntityId::new("Health", provider, "check")?;
+    let start = tokio::time::Instant::now();
+    let now = reached.now_ns();
+    let there = Commit::new(id.clone(), now, [("ok", Value::Bool(true))]);
+    reached.memory().commit(vec![there, Commit::removal(id, now)]).await?;
+    Ok(u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX))
 }
 
 fn query(args: &QueryArgs) -> Result<Query, Failure> {

@@ -48,7 +48,7 @@ pub(super) async fn axes() {
 fn by_policy(name: &str, policy: Policy) {
     let folder = tempfile::tempdir().expect("a folder");
     let store = Arc::new(LongTermMemory::open(&folder.path().join("axes.redb")).expect("a file"));
-    let kept = Consolidator::new(Arc::clone(&store), Policies::all(policy));
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(policy)).expect("it can be read");
     let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(kept));
     let (frames, step_ns) = (HZ * SECONDS, 1_000_000_000 / HZ);
     let start = Meter::start();

@@ -74,7 +74,7 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
     let camera = Camera::new();
     let id = EntityId::new("Images", "camera", "left").expect("a name");
     let store = Arc::new(LongTermMemory::open(&path).expect("a file"));
-    let kept = Consolidator::new(Arc::clone(&store), policies(coded));
+    let kept = Consolidator::new(Arc::clone(&store), policies(coded)).expect("it can be read");
     let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(kept));
     let period = Duration::from_secs(1) / HZ;
     let (mut waits, mut late, mut refused) = (Vec::new(), 0_u64, 0_u64);

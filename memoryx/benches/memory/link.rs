@@ -121,7 +121,8 @@ fn kept() {
     for together in [1, 100] {
         let store = LongTermMemory::open(&folder.path().join(format!("{together}.redb"))).expect("a file");
         let store = Arc::new(store);
-        let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
+        let kept =
+            Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).expect("it can be read");
         let memory = WorkingMemory::new(Arc::new(|| 0))
             .with_limits(MemoryLimits { history: 2, ..MemoryLimits::default() });
         let memory = memory.with_backing(Arc::new(kept));

@@ -100,6 +100,7 @@ fn main() {
     }
     if is_wanted("durable") {
         store::durable_agent();
+        store::beside_retention();
     }
     if wanted.iter().any(|word| word == "minutes") {
         frames::ten_minutes(&wanted);

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::{Mode, Session, SessionConfig};
-use armarium_memoryx::{Memory, MemoryLimits, MemoryServer, RemoteMemory, WorkingMemory};
+use armarium_memoryx::{MemoryLimits, MemoryServer, RemoteMemory, WorkingMemory};
 
-use super::shared::hear;
+use super::shared::{follow, hear};
 use super::{Meter, commit, resident_mb, say};
 
 /// Entities of each agent.
@@ -107,7 +107,10 @@ pub(super) async fn following(by: impl IntoIterator<Item = &Agent>, agent: &str)
 
 /// Commits updates of an agent; the next ones follow when all followers have received the last ones.
 pub(super) async fn told(agent: &Agent, remotes: &[RemoteMemory], together: u64, updates: u64) {
-    let mut listening: Vec<_> = remotes.iter().map(Memory::subscribe).collect();
+    let mut listening = Vec::new();
+    for remote in remotes {
+        listening.push(follow(remote).await);
+    }
     for g in 0..updates / together {
         tell(agent, g * together, together);
         for changes in &mut listening {
@@ -144,7 +147,10 @@ async fn ring(agents: &[Agent]) {
         remotes.push(RemoteMemory::connect(&agent.session, next).await.expect("it answers"));
     }
     start.say(&format!("followers connected, of {count}"), count as u64, "");
-    let mut listening: Vec<_> = remotes.iter().map(Memory::subscribe).collect();
+    let mut listening = Vec::new();
+    for remote in &remotes {
+        listening.push(follow(remote).await);
+    }
     let (together, updates) = UPDATES[1];
     let rounds = updates / together / count as u64;
     let start = Meter::start();

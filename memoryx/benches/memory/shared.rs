@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::{Key, Payload, Session, SessionConfig, Subscription, decode, encode, keys};
-use armarium_memoryx::wire::{Changes, CommitRequest};
-use armarium_memoryx::{EntityId, Memory, MemoryLimits, MemoryServer, RemoteMemory, Snapshot, WorkingMemory};
-use tokio::sync::broadcast::Receiver;
-use tokio::sync::broadcast::error::RecvError;
+use armarium_memoryx::wire::{ChangesMessage, CommitRequest};
+use armarium_memoryx::{
+    Change, EntityId, Follower, Memory, MemoryLimits, MemoryServer, Pattern, RemoteMemory, WorkingMemory,
+};
 use tokio::task::JoinSet;
 
 use super::{Meter, commit, id, median, say};
@@ -34,7 +34,7 @@ pub(super) async fn shared() {
 
 /// Measures updates per second, in each direction.
 async fn rates(memory: &Arc<WorkingMemory>, remote: &RemoteMemory) {
-    let mut changes = remote.subscribe();
+    let mut changes = follow(remote).await;
     let start = Meter::start();
     let writing = Arc::clone(memory);
     let writer = tokio::spawn(async move {
@@ -57,21 +57,27 @@ async fn rates(memory: &Arc<WorkingMemory>, remote: &RemoteMemory) {
     start.say("  and heard back", 200_000, "");
 }
 
-pub(super) async fn hear(changes: &mut Receiver<Arc<Snapshot>>, count: u64) {
+/// Follows a memory from now on.
+pub(super) async fn follow(remote: &RemoteMemory) -> Follower {
+    let remote = Arc::new(remote.clone());
+    Follower::from_now(remote, Pattern::segment("Things")).await.expect("it answers").0
+}
+
+pub(super) async fn hear(changes: &mut Follower, count: u64) {
     let mut heard = 0;
     while heard < count {
-        match changes.recv().await {
-            Ok(_) => heard += 1,
-            Err(RecvError::Lagged(missed)) => heard += missed,
-            Err(RecvError::Closed) => return,
+        match changes.next().await.expect("it answers") {
+            Some(Change::New(_)) => heard += 1,
+            Some(Change::Missed { from, to, .. }) => heard += to - from + 1,
+            None => return,
         }
     }
 }
 
 /// Waits for exactly this version, whatever comes before it.
-async fn hear_version(changes: &mut Receiver<Arc<Snapshot>>, of: &EntityId, version: u64) {
-    while let Ok(snapshot) = changes.recv().await {
-        if snapshot.version == version && snapshot.id == *of {
+async fn hear_version(changes: &mut Follower, of: &EntityId, version: u64) {
+    while let Ok(Some(change)) = changes.next().await {
+        if matches!(&change, Change::New(snapshot) if snapshot.version == version && snapshot.id == *of) {
             return;
         }
     }
@@ -79,7 +85,7 @@ async fn hear_version(changes: &mut Receiver<Arc<Snapshot>>, of: &EntityId, vers
 
 /// Measures one of each kind in turn, again and again, so that all see the same load of the machine.
 async fn latencies(memory: &WorkingMemory, remote: &RemoteMemory, bare: &mut Bare) {
-    let mut changes = remote.subscribe();
+    let mut changes = follow(remote).await;
     let mut times: [Vec<Duration>; 5] = std::array::from_fn(|_| Vec::new());
     let one = id(1);
     for _ in 0..TIMES {
@@ -116,7 +122,7 @@ fn codec() {
     let updates: Vec<_> = (0..1000).map(|n| commit(n, 100)).collect();
     memory.commit_now(updates.clone()).expect("it fits");
     let snapshots = (0..1000).map(|n| memory.latest_now(&id(n)).expect("it is there")).collect();
-    round_trip("changes", &Changes { epoch: 0, first: 0, until_ns: 0, snapshots });
+    round_trip("changes", &ChangesMessage { epoch: 0, first: 0, until_ns: 0, snapshots });
     round_trip("a commit", &CommitRequest { updates, sent_ns: 0 });
 }
 

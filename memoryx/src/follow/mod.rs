@@ -3,30 +3,33 @@
 //!
 //! Every version of every entity is reported in order and once. When a version is missing, because the reader lagged
 //! or the network lost it, the follower queries the memory's history. Versions that the history no longer has become
-//! [`Change::Missed`]. A memory that was restarted without its versions counts from 1 again; the follower then takes
-//! snapshots with a later arrival time as new, whatever their version.
+//! [`Change::Missed`]. A memory that was restarted or away is compared with what was reported: by version and arrival time of
+//! each entity, whatever its clock says. Where it counts from 1 again, its snapshots are new.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use indexmap::IndexMap;
-use tokio::sync::broadcast::{self, error::RecvError, error::TryRecvError};
+use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 
+use crate::changes::Changes;
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::memory::{Memory, pages};
+use crate::memory::{Head, Memory, pages};
 use crate::query::{Pattern, Query, Times};
 use crate::wire;
 
 /// Snapshots per query.
 const PAGE_SIZE: usize = 4096;
+/// If more entities differ, all are read at once.
+const MAX_ONE_BY_ONE: usize = 64;
 
 /// What a follower reports.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
     /// An entity has a new snapshot.
     New(Arc<Snapshot>),
-    /// Versions of an entity that the memory no longer has.
+    /// Versions of an entity that the memory no longer has, or that it skipped when it was restarted.
     Missed {
         /// The entity.
         id: EntityId,
@@ -42,7 +45,7 @@ pub enum Change {
 pub struct LastSeen {
     /// Its version.
     pub version: u64,
-    /// When it arrived in the memory, ns.
+    /// When it arrived in the memory, ns; 0 when unknown.
     pub arrived_ns: u64,
 }
 
@@ -51,84 +54,80 @@ impl LastSeen {
         Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
     }
 
-    /// Whether a snapshot arrived later with a version that was already reported: the memory has restarted its count.
-    fn is_of_earlier_run_than(self, snapshot: &Snapshot) -> bool {
-        snapshot.version <= self.version && snapshot.arrived_ns > self.arrived_ns
+    fn of_head(head: &Head) -> Self {
+        Self { version: head.version, arrived_ns: head.arrived_ns }
     }
+
+    /// Whether the version is that of another snapshot, because the memory has counted anew.
+    fn is_other(self, version: u64, arrived_ns: u64) -> bool {
+        self.version == version && self.arrived_ns != 0 && self.arrived_ns != arrived_ns
+    }
+}
+
+/// Which changes are missing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Gap {
+    /// Those since the last time without a gap.
+    Since,
+    /// Whatever differs.
+    Anything,
 }
 
 /// A subscription to the entities of a pattern, without silent gaps.
 pub struct Follower {
     memory: Arc<dyn Memory>,
-    pattern: Pattern,
-    changes: broadcast::Receiver<Arc<Snapshot>>,
+    changes: Changes,
     /// The last reported snapshot of each entity.
     reported: IndexMap<EntityId, LastSeen>,
     /// Every change that arrived before this time was received, ns.
     since_ns: u64,
-    /// Every change that arrived before this time was reported, ns.
-    complete_until: u64,
-    /// A gap was noticed and not yet read again.
-    behind: bool,
+    /// What was noticed and not yet read again.
+    gap: Option<Gap>,
     ready: VecDeque<Change>,
 }
 
 impl Follower {
-    /// Follows from now on. The present content counts as reported, and is returned: the newest snapshot of each
-    /// entity that has one.
+    /// Follows from now on. The present content counts as reported; its heads are returned.
     ///
     /// # Errors
-    /// As [`Memory::query`].
+    /// As [`Memory::subscribe`] and [`Memory::heads`].
     pub async fn from_now(
         memory: Arc<dyn Memory>,
         pattern: Pattern,
-    ) -> Result<(Self, Vec<Arc<Snapshot>>), MemoryError> {
-        let mut follower = Self::from_start(memory, pattern);
-        let query = Query::history(follower.pattern.clone()).limit(1);
-        let mut pieces = pages(query, PAGE_SIZE);
-        let mut held = Vec::new();
-        while let Some(piece) = pieces.next(&*follower.memory).await? {
-            if held.is_empty() {
-                follower.since_ns = seen_until(&piece);
-            }
-            held.extend(piece);
-        }
-        follower.complete_until = follower.since_ns;
-        follower.reported = held.iter().map(|s| (s.id.clone(), LastSeen::of(s))).collect();
-        Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
+    ) -> Result<(Self, Vec<Head>), MemoryError> {
+        let mut follower = Self::from_start(memory, pattern).await?;
+        let heads = follower.memory.heads(follower.changes.pattern()).await?;
+        follower.since_ns = heads.until_ns;
+        let reported = heads.entities.iter().map(|head| (head.id.clone(), LastSeen::of_head(head)));
+        follower.reported = reported.collect();
+        Ok((follower, heads.entities))
     }
 
     /// Follows changes only. If an entity's first change is not version 1, the follower reads the history that is
     /// still held.
-    pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
-        let changes = memory.subscribe();
-        Self {
-            memory,
-            pattern,
-            changes,
-            reported: IndexMap::new(),
-            since_ns: 0,
-            complete_until: 0,
-            behind: false,
-            ready: VecDeque::new(),
-        }
+    ///
+    /// # Errors
+    /// As [`Memory::subscribe`].
+    pub async fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Result<Self, MemoryError> {
+        let changes = memory.subscribe(&pattern).await?;
+        let reported = IndexMap::new();
+        Ok(Self { memory, changes, reported, since_ns: 0, gap: None, ready: VecDeque::new() })
     }
 
     /// Continues from the snapshots that were reported before, by entity. Changes since then come first, from the
-    /// history, which is long-term memory's where working memory has forgotten. `since_ns`: everything that arrived
-    /// before was reported; 0 when unknown.
+    /// history, which is long-term memory's where working memory has forgotten.
     ///
     /// # Errors
-    /// As [`Memory::query`].
+    /// As [`Self::from_now`] and [`Memory::query`].
     pub async fn resume(
         memory: Arc<dyn Memory>,
         pattern: Pattern,
         reported: BTreeMap<EntityId, LastSeen>,
-        since_ns: u64,
     ) -> Result<Self, MemoryError> {
-        let mut follower = Self::from_start(memory, pattern);
+        let mut follower = Self::from_start(memory, pattern).await?;
         follower.reported = reported.into_iter().collect();
-        follower.read_since(since_ns).await?;
+        follower.gap = Some(Gap::Anything);
+        follower.catch_up().await?;
         Ok(follower)
     }
 
@@ -139,30 +138,18 @@ impl Follower {
     pub async fn next(&mut self) -> Result<Option<Change>, MemoryError> {
         loop {
             if let Some(change) = self.ready.pop_front() {
-                self.note_reported();
                 return Ok(Some(change));
             }
-            if self.behind {
+            if self.gap.is_some() {
                 self.catch_up().await?;
                 continue;
             }
             match self.changes.recv().await {
                 Ok(snapshot) => self.receive(snapshot).await?,
-                Err(RecvError::Lagged(_)) => self.behind = true,
+                Err(RecvError::Lagged(_)) => self.note_gap(),
                 Err(RecvError::Closed) => return Ok(None),
             }
         }
-    }
-
-    /// Waits for the next change, and returns it with the changes that wait behind it, at most `most`; empty when the
-    /// memory has closed. Cancel-safe.
-    ///
-    /// # Errors
-    /// As [`Self::next`].
-    pub async fn some(&mut self, most: usize) -> Result<Vec<Change>, MemoryError> {
-        let Some(first) = self.next().await? else { return Ok(Vec::new()) };
-        self.ready.push_front(first);
-        self.drain(most.max(1)).await
     }
 
     /// The changes that are available without waiting, at most `most`.
@@ -171,133 +158,134 @@ impl Follower {
     /// As [`Self::next`].
     pub async fn drain(&mut self, most: usize) -> Result<Vec<Change>, MemoryError> {
         while self.ready.len() < most {
-            if self.behind {
+            if self.gap.is_some() {
                 self.catch_up().await?;
                 continue;
             }
             match self.changes.try_recv() {
                 Ok(snapshot) => self.receive(snapshot).await?,
-                Err(TryRecvError::Lagged(_)) => self.behind = true,
+                Err(TryRecvError::Lagged(_)) => self.note_gap(),
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
         }
         let count = most.min(self.ready.len());
-        let some = self.ready.drain(..count).collect();
-        self.note_reported();
-        Ok(some)
-    }
-
-    fn note_reported(&mut self) {
-        if self.ready.is_empty() {
-            self.complete_until = self.since_ns;
-        }
+        Ok(self.ready.drain(..count).collect())
     }
 
     /// Whether all changes so far were reported.
     pub fn is_caught_up(&self) -> bool {
-        self.ready.is_empty() && self.changes.is_empty() && !self.behind
+        self.ready.is_empty() && self.changes.is_empty() && self.gap.is_none()
+    }
+
+    fn note_gap(&mut self) {
+        self.gap = Some(if self.changes.began_anew() { Gap::Anything } else { Gap::Since });
     }
 
     async fn receive(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
-        let arrived_ns = snapshot.arrived_ns;
-        if self.pattern.matches(&snapshot.id) {
-            self.accept(snapshot).await?;
+        let known = self.reported.get(&snapshot.id).copied().unwrap_or_default();
+        if snapshot.version > known.version + 1 {
+            // Set until the read ends, because the caller may drop this future before.
+            self.gap = Some(Gap::Since);
+            if known.version > 0 {
+                // One gap rarely comes alone, and one query closes all.
+                self.read_since().await?;
+            }
+            let known = self.reported.get(&snapshot.id).map_or(0, |reported| reported.version);
+            if snapshot.version > known + 1 {
+                let missing = Times::Versions(known + 1, snapshot.version - 1);
+                let found = self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
+                self.report_all(found.0);
+            }
+            self.gap = None;
         }
-        // Ask the memory first: a change that arrives meanwhile is in the queue, where `is_empty` sees it.
-        let until = match self.memory.complete_until() {
-            None => arrived_ns,
-            Some(until) if self.changes.is_empty() => until,
-            Some(_) => 0,
-        };
-        self.since_ns = self.since_ns.max(until);
+        self.report(snapshot);
+        self.since_ns = self.since_ns.max(self.changes.until_ns());
         Ok(())
     }
 
-    async fn accept(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
-        let known = match self.reported.get_mut(&snapshot.id) {
-            Some(reported) if snapshot.version == reported.version + 1 => {
-                *reported = LastSeen::of(&snapshot);
-                self.ready.push_back(Change::New(snapshot));
-                return Ok(());
-            }
-            reported => reported.copied(),
-        };
-        let begins = known.is_some_and(|reported| reported.is_of_earlier_run_than(&snapshot));
-        if begins || snapshot.version > known.map_or(0, |reported| reported.version) + 1 {
-            // Set until the read ends, because the caller may drop this future before.
-            self.behind = true;
-            if known.is_some() {
-                // One gap rarely comes alone, and one query closes all.
-                self.read_since(self.since_ns).await?;
-            }
-            self.notice_restart(&snapshot).await?;
-            let reported = self.reported.get(&snapshot.id).map_or(0, |reported| reported.version);
-            if snapshot.version > reported + 1 {
-                let missing = Times::Versions(reported + 1, snapshot.version - 1);
-                self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
-            }
-            self.behind = false;
+    /// Reads what is missing. After an error, it is still missing.
+    async fn catch_up(&mut self) -> Result<(), MemoryError> {
+        match self.gap {
+            Some(Gap::Anything) => self.compare().await?,
+            Some(Gap::Since) => self.read_since().await?,
+            None => {}
         }
-        self.report(snapshot);
+        self.gap = None;
         Ok(())
     }
 
     /// Reads all unreported snapshots since the last time without a gap.
-    ///
-    /// # Errors
-    /// As [`Memory::query`]; the gap is still remembered then.
-    pub async fn catch_up(&mut self) -> Result<(), MemoryError> {
-        self.read_since(self.since_ns).await?;
-        self.behind = false;
+    async fn read_since(&mut self) -> Result<(), MemoryError> {
+        let query = Query::history(self.changes.pattern().clone());
+        let (found, until_ns) = self.read(Query { arrived_since: Some(self.since_ns), ..query }).await?;
+        self.report_all(found);
+        self.since_ns = self.since_ns.max(until_ns);
         Ok(())
     }
 
-    /// After a gap: reads all unreported snapshots that arrived at `since_ns` or later.
-    ///
-    /// # Errors
-    /// As [`Memory::query`].
-    pub async fn read_since(&mut self, since_ns: u64) -> Result<(), MemoryError> {
-        let query = Query::history(self.pattern.clone());
-        let seen_until = self.read(Query { arrived_since: Some(since_ns), ..query }).await?;
-        self.since_ns = self.since_ns.max(since_ns).max(seen_until);
-        Ok(())
-    }
-
-    /// Reports the snapshots of an answer in the order of their arrival. Returns the arrival time, ns, until which
-    /// the answer is certainly complete.
-    async fn read(&mut self, query: Query) -> Result<u64, MemoryError> {
-        let mut pieces = pages(query.with_long_term(), PAGE_SIZE);
-        let mut until = None;
-        let mut found: Vec<(u64, Arc<Snapshot>)> = Vec::new();
-        while let Some(piece) = pieces.next(&*self.memory).await? {
-            until.get_or_insert_with(|| seen_until(&piece));
-            for snapshot in piece {
-                // Versions of one entity stay in order, whatever the clock did.
-                let before = found.last().filter(|(_, last)| last.id == snapshot.id).map_or(0, |last| last.0);
-                found.push((snapshot.arrived_ns.max(before), snapshot));
+    /// Compares what was reported with what the memory has, and reads what differs.
+    async fn compare(&mut self) -> Result<(), MemoryError> {
+        let heads = self.memory.heads(self.changes.pattern()).await?;
+        let there: BTreeSet<&EntityId> = heads.entities.iter().map(|head| &head.id).collect();
+        // What the memory no longer knows begins anew when it comes back.
+        self.reported.retain(|id, _| there.contains(id));
+        let mut differing = Vec::new();
+        for head in &heads.entities {
+            let reported = self.reported.entry(head.id.clone()).or_default();
+            if head.version < reported.version || reported.is_other(head.version, head.arrived_ns) {
+                *reported = LastSeen::default();
+            }
+            if head.version > reported.version {
+                differing.push((&head.id, *reported));
             }
         }
-        found.sort_by_key(|(arrived_ns, _)| *arrived_ns);
-        for (_, snapshot) in found {
-            self.notice_restart(&snapshot).await?;
-            self.report(snapshot);
+        let mut found = Vec::new();
+        if differing.len() > MAX_ONE_BY_ONE {
+            found = self.read(Query::history(self.changes.pattern().clone())).await?.0;
+        } else {
+            for (id, reported) in differing {
+                let from =
+                    |version| Query::history(Pattern::entity(id)).times(Times::Versions(version, u64::MAX));
+                let mut history = self.read(from(reported.version)).await?.0;
+                if history.iter().any(|s| reported.is_other(s.version, s.arrived_ns)) {
+                    history = self.read(from(0)).await?.0;
+                }
+                found.extend(history);
+            }
         }
-        Ok(until.unwrap_or(0))
+        for snapshot in &found {
+            if let Some(reported) = self.reported.get_mut(&snapshot.id)
+                && reported.is_other(snapshot.version, snapshot.arrived_ns)
+            {
+                *reported = LastSeen::default();
+            }
+        }
+        self.report_all(found);
+        self.since_ns = heads.until_ns;
+        Ok(())
     }
 
-    /// If a snapshot is the first one after its memory restarted its count: finds the last version that the memory
-    /// had kept, from which it counts on.
-    async fn notice_restart(&mut self, first: &Snapshot) -> Result<(), MemoryError> {
-        if !self.reported.get(&first.id).is_some_and(|reported| reported.is_of_earlier_run_than(first)) {
-            return Ok(());
+    /// Reads an answer, and the arrival time, ns, until which it is certainly complete.
+    async fn read(&self, query: Query) -> Result<(Vec<Arc<Snapshot>>, u64), MemoryError> {
+        let mut pieces = pages(query.with_long_term(), PAGE_SIZE);
+        let (mut until, mut found) = (None, Vec::new());
+        while let Some(piece) = pieces.next(&*self.memory).await? {
+            until.get_or_insert_with(|| seen_until(&piece));
+            found.extend(piece);
         }
-        let earlier = Times::Versions(0, first.version.saturating_sub(1));
-        let query = Query::latest(Pattern::entity(&first.id)).times(earlier).limit(1).with_long_term();
-        let kept = self.memory.query(&query).await?.pop();
-        if let Some(reported) = self.reported.get_mut(&first.id) {
-            reported.version = kept.map_or(0, |kept| kept.version);
+        Ok((found, until.unwrap_or(0)))
+    }
+
+    /// Reports snapshots, which are ordered by entity and version, in the order of their arrival.
+    fn report_all(&mut self, found: Vec<Arc<Snapshot>>) {
+        let mut ordered: Vec<(u64, Arc<Snapshot>)> = Vec::with_capacity(found.len());
+        for snapshot in found {
+            // Versions of one entity stay in order, whatever the clock did.
+            let before = ordered.last().filter(|(_, last)| last.id == snapshot.id).map_or(0, |last| last.0);
+            ordered.push((snapshot.arrived_ns.max(before), snapshot));
         }
-        Ok(())
+        ordered.sort_by_key(|(arrived_ns, _)| *arrived_ns);
+        ordered.into_iter().for_each(|(_, snapshot)| self.report(snapshot));
     }
 
     /// Reports a snapshot unless it was reported, and before it the gap, if there is one.
@@ -312,11 +300,6 @@ impl Follower {
         }
         *reported = LastSeen::of(&snapshot);
         self.ready.push_back(Change::New(snapshot));
-    }
-
-    /// Every change that arrived before this time was reported, ns.
-    pub fn complete_until(&self) -> u64 {
-        self.complete_until
     }
 }
 

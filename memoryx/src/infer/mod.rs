@@ -211,7 +211,12 @@ async fn run(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Cloc
     };
     loop {
         // Subscribe before reading: a change during this round starts another.
-        let mut changes = memory.subscribe();
+        let mut changes = match memory.subscribe(&Pattern::any()).await {
+            Ok(changes) => changes,
+            Err(error) => {
+                return tracing::warn!(%error, inference = inference.name(), "memory cannot be followed");
+            }
+        };
         if let Err(error) = conclude_once(&*memory, &*inference, clock()).await {
             tracing::warn!(%error, inference = inference.name(), "nothing could be concluded");
         }

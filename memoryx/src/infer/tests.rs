@@ -129,7 +129,7 @@ async fn what_has_not_changed_is_not_written_again_and_says_what_it_rests_on() {
 async fn usual_places_are_learned_from_all_earlier_days() {
     let folder = tempfile::tempdir().unwrap();
     let store = Arc::new(LongTermMemory::open(&folder.path().join("days.redb")).unwrap());
-    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).unwrap();
     // Working memory holds the last sighting only.
     let limits = MemoryLimits { history: 1, ..MemoryLimits::default() };
     let memory = WorkingMemory::new(Arc::new(|| 1)).with_limits(limits).with_backing(Arc::new(kept));

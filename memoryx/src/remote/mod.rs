@@ -1,41 +1,43 @@
-//! Another agent's memory over Zenoh, with the same trait. Every commit is answered.
+//! Another agent's memory over Zenoh, with the same trait. Every commit is answered. Connecting costs one question; what
+//! is asked for later is what is transferred.
 //!
-//! Subscribers receive every change once and in order. A gap in an entity's versions, an overflown queue and a memory
-//! that was away all make this side query what it missed. What the other side no longer has shows as a gap in the
-//! versions, which a [`crate::Follower`] reports.
+//! Subscribers receive the changes of the core segments that they subscribe to, and learn of losses; a
+//! [`crate::Follower`] reads what was lost.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use armarium_bus::{Key, Session, SessionError, keys};
+use armarium_bus::session::Reply;
+use armarium_bus::{Key, Payload, Session, SessionError, keys};
 use async_trait::async_trait;
-use tokio::sync::{Notify, broadcast};
-use tokio::task::JoinSet;
+use std::sync::Arc;
+use std::time::Duration;
 
+use crate::changes::Changes;
 use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
-use crate::memory::Memory;
-use crate::query::Query;
+use crate::memory::{Head, Heads, Memory};
+use crate::query::{Pattern, Query};
 use crate::server::unreachable_memory;
-use crate::wire::{self, Maintain, MaintenanceReport};
+use crate::wire::{
+    self, CommitRequest, HeadsPart, HeadsRequest, Maintain, MaintenanceReport, QueryRequest, Snapshots,
+    Versions,
+};
 
-/// Messages that wait to be decoded, and changes that a subscriber may lag behind.
+mod changes;
+
+use changes::RemoteChanges;
+
+/// How often connecting tries a memory that does not answer, and how long it waits in between.
+const MAX_TRIES: u32 = 5;
+const RETRY_INTERVAL: Duration = Duration::from_millis(100);
+/// Messages of changes that wait to be decoded.
 const QUEUE: usize = 4096;
-/// Changes that wait to be put in order; room for more than two full messages.
-const RAW: usize = 16_384;
-
-mod link;
-mod stream;
-
-use link::Link;
-use parking_lot::Mutex;
 
 /// The memory of another agent.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct RemoteMemory {
-    link: Arc<Link>,
-    changes: broadcast::Sender<Arc<Snapshot>>,
-    _tasks: JoinSet<()>,
+    session: Session,
+    agent: String,
+    /// The key of its queryable.
+    questions: Key,
 }
 
 impl RemoteMemory {
@@ -58,32 +60,23 @@ impl RemoteMemory {
 
     /// `questions`: the key of the queryable.
     async fn connect_on(session: &Session, agent: &str, questions: Key) -> Result<Self, MemoryError> {
-        let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
-        let stream = keys::memory_changes(agent)?;
-        let service = keys::alive(agent, "memory")?;
+        let remote = Self { session: session.clone(), agent: agent.into(), questions };
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            match remote.answers().await {
+                Ok(()) => return Ok(remote),
+                Err(error) if tries == MAX_TRIES => return Err(error),
+                Err(_) => tokio::time::sleep(RETRY_INTERVAL).await,
+            }
+        }
+    }
 
-        let (raw, changes) = (broadcast::channel(RAW).0, broadcast::channel(QUEUE).0);
-        let link = Link {
-            session: session.clone(),
-            agent: agent.into(),
-            questions,
-            raw,
-            stream: Mutex::default(),
-            lost: Notify::new(),
-            taken: Notify::new(),
-            delivered_until: AtomicU64::new(0),
-        };
-        let link = Arc::new(link);
-        let messages = session.subscribe(stream, QUEUE).await.map_err(failed)?;
-        let alive = session.watch_alive(&service.into(), 16).await.map_err(failed)?;
-        let mut tasks = JoinSet::new();
-        tasks.spawn(Arc::clone(&link).receive(messages));
-        tasks.spawn(Arc::clone(&link).watch(alive));
-        // An answer proves that the other side knows the subscription: declarations arrive before queries.
-        let follower = link.first_answer().await?;
-        link.stream().begin(follower.complete_until());
-        tasks.spawn(Arc::clone(&link).deliver(follower, changes.clone()));
-        Ok(Self { link, changes, _tasks: tasks })
+    /// Asks for nothing, and waits for the answer.
+    async fn answers(&self) -> Result<(), MemoryError> {
+        let query = Query { most: Some(0), ..Query::default() };
+        let _: Snapshots = self.ask(&QueryRequest { query, parts: true }).await?;
+        Ok(())
     }
 
     /// Asks the agent for maintenance of its long-term memory.
@@ -91,29 +84,82 @@ impl RemoteMemory {
     /// # Errors
     /// [`MemoryError::Store`] when it has none or the store fails; [`MemoryError::Remote`].
     pub async fn maintain(&self, request: &Maintain) -> Result<MaintenanceReport, MemoryError> {
-        let failed = |error: armarium_bus::CodecError| self.link.failed(&error.to_string());
+        self.ask(request).await
+    }
+
+    async fn ask<Q: Payload, A: Payload>(&self, request: &Q) -> Result<A, MemoryError> {
+        let failed = |error: armarium_bus::CodecError| self.failed(&error.to_string());
         let (encoding, payload) = wire::seal(request).map_err(failed)?;
-        let (encoding, payload) = self.link.ask(&encoding, payload).await?;
-        wire::open(&encoding, &payload).map_err(failed)
+        let answer = self.session.query_one(&self.questions, "", Some((&encoding, payload))).await;
+        match answer.map_err(|error| self.failed(&error.to_string()))? {
+            Reply::Message(message) => wire::open(&message.encoding, &message.payload).map_err(failed),
+            Reply::Refusal { encoding, payload } => Err(wire::open::<MemoryError>(&encoding, &payload)
+                .unwrap_or_else(|_| self.failed(&String::from_utf8_lossy(&payload)))),
+        }
+    }
+
+    fn failed(&self, what: &str) -> MemoryError {
+        unreachable_memory(&self.agent, what)
     }
 }
 
 #[async_trait]
 impl Memory for RemoteMemory {
     async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        self.link.commit(updates).await
+        let Versions(versions) = self.ask(&CommitRequest { updates, sent_ns: self.session.now_ns() }).await?;
+        Ok(versions)
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.link.query(query).await
+        let mut request = QueryRequest { query: query.clone(), parts: true };
+        let mut all = Vec::new();
+        loop {
+            let found: Snapshots = self.ask(&request).await?;
+            let query = &mut request.query;
+            if let Some(most) = &mut query.most {
+                *most = most.saturating_sub(found.snapshots.len());
+            }
+            if let Some(most) = &mut query.most_bytes {
+                *most = most.saturating_sub(found.snapshots.iter().map(|s| s.bytes()).sum());
+            }
+            all.extend(found.snapshots);
+            let next =
+                found.next.filter(|_| found.more && query.most != Some(0) && query.most_bytes != Some(0));
+            let Some(next) = next else { return Ok(all) };
+            query.after = Some(next);
+        }
     }
 
-    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
-        self.changes.subscribe()
+    async fn heads(&self, pattern: &Pattern) -> Result<Heads, MemoryError> {
+        let mut request = HeadsRequest { pattern: pattern.clone(), after: None };
+        let mut heads = Heads::default();
+        loop {
+            let part: HeadsPart = self.ask(&request).await?;
+            let head = |(id, version, arrived_ns, removed)| Head { id, version, arrived_ns, removed };
+            let is_first = request.after.is_none();
+            heads.entities.extend(part.entities.into_iter().map(head));
+            if is_first {
+                // What changes while later parts are read may belong into the first.
+                heads.until_ns = heads.entities.iter().map(|head| head.arrived_ns).max().unwrap_or(0);
+            }
+            if part.next.is_none() {
+                return Ok(heads);
+            }
+            request.after = part.next;
+        }
     }
 
-    fn complete_until(&self) -> Option<u64> {
-        Some(self.link.delivered_until.load(Ordering::Acquire))
+    async fn subscribe(&self, pattern: &Pattern) -> Result<Changes, MemoryError> {
+        let failed = |error: SessionError| self.failed(&error.to_string());
+        let one = pattern.exact_segment();
+        let keys = keys::memory_changes(&self.agent, one)?;
+        let messages = self.session.subscribe(keys, QUEUE).await.map_err(failed)?;
+        let service = keys::alive(&self.agent, "memory")?;
+        let services = self.session.watch_alive(&service.into(), 16).await.map_err(failed)?;
+        // An answer proves that the other side knows the subscription: declarations arrive before queries.
+        self.answers().await?;
+        let changes = RemoteChanges::new(self.session.clone(), messages, services, one.is_some());
+        Ok(Changes::new(pattern.clone(), changes))
     }
 }
 

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use armarium_bus::{Reply, SessionConfig};
 use armarium_values::Value;
 
@@ -9,10 +11,9 @@ use super::*;
 use crate::conformance_tests;
 use crate::entity::EntityId;
 use crate::follow::{Change, Follower};
-use crate::proxy::{ProxyState, proxy};
-use crate::query::Pattern;
+use crate::proxy::{ProxyState, counting_proxy, proxy};
 use crate::server::MemoryServer;
-use crate::wire::Changes;
+use crate::wire::ChangesMessage;
 use crate::working::{MemoryLimits, WorkingMemory};
 
 struct Pair {
@@ -47,7 +48,7 @@ async fn it_conforms() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn updates_that_are_put_and_gets_by_key_work_without_this_program() {
     let pair = pair().await;
-    let mut changes = pair.remote.subscribe();
+    let mut changes = pair.remote.subscribe(&Pattern::any()).await.unwrap();
     let key = keys::memory("alice", "Things", "p", "a").unwrap();
     let (encoding, payload) = wire::seal(&commit("a", 7)).unwrap();
     let update = commit("a", 7);
@@ -66,36 +67,102 @@ async fn updates_that_are_put_and_gets_by_key_work_without_this_program() {
     assert_eq!(wire::open::<Snapshot>(&message.encoding, &message.payload).unwrap(), *heard);
 }
 
+/// What others put on the memory's keys is no change of the memory, and makes nothing be missed or told twice.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_was_missed_is_asked_for() {
+async fn forged_changes_have_no_effect() {
     let pair = pair().await;
-    let mut changes = pair.remote.subscribe();
+    let remote = Arc::new(pair.remote.clone());
+    let (mut follower, _) = Follower::from_now(remote, Pattern::segment("Things")).await.unwrap();
     for i in 0..5 {
         pair.memory.commit_now(vec![commit("a", i)]).unwrap();
     }
-    // Repeated and nonsensical changes have no effect.
     let known = pair.memory.latest_now(&commit("a", 0).id).unwrap();
-    let (encoding, payload) =
-        wire::seal(&Changes { epoch: 7, first: 9, until_ns: 0, snapshots: vec![known] }).unwrap();
-    let key = keys::memory_changes("alice").unwrap();
-    pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
+    let forged = ChangesMessage { epoch: 7, first: 9, until_ns: u64::MAX, snapshots: vec![known] };
+    let (encoding, payload) = wire::seal(&forged).unwrap();
+    let key = keys::memory_changes_of("alice", "Things").unwrap();
+    pair.far.put_waiting(&key, &encoding, payload).await.unwrap();
     pair.far.put_waiting(&key, &encoding, vec![0xff; 9]).await.unwrap();
-    pair.remote.link.note_loss();
     pair.memory.commit_now(vec![commit("end", 0)]).unwrap();
     let mut heard = Vec::new();
     while heard.last().is_none_or(|(name, _)| name != "end") {
-        let snapshot = changes.recv().await.unwrap();
+        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
         heard.push((snapshot.id.entity().to_owned(), snapshot.version));
     }
     let expected: Vec<_> = (1..=5).map(|v| ("a".to_owned(), v)).chain([("end".to_owned(), 1)]).collect();
     assert_eq!(heard, expected);
 }
 
+/// Bytes that a session receives from another through a proxy.
+async fn counted(far: &Session) -> (Session, Arc<AtomicU64>) {
+    let (endpoint, bytes) = counting_proxy(&far.endpoints().await[0]).await;
+    (Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap(), bytes)
+}
+
+/// One entity of a large memory is read for the price of one; who follows a core segment gets nothing of another.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn connecting_costs_what_is_asked_for() {
+    let pair = pair().await;
+    let large = |segment: &str, n: u64| {
+        let id = EntityId::new(segment, "p", &format!("e{n}")).unwrap();
+        Commit::new(id, n, [("data", Value::Bytes(vec![n as u8; 20_000]))])
+    };
+    pair.memory.commit_now((0..2000).map(|n| large("Things", n)).collect()).unwrap();
+    pair.memory.commit_now(vec![commit("small", 1)]).unwrap();
+    let (session, bytes) = counted(&pair.far).await;
+    // What the sessions say to each other before anybody asks for anything.
+    RemoteMemory::connect(&session, "alice").await.unwrap();
+    let before = bytes.load(Ordering::Relaxed);
+    let remote = RemoteMemory::connect(&session, "alice").await.unwrap();
+    remote.latest(&commit("small", 1).id).await.unwrap();
+    let got = bytes.load(Ordering::Relaxed) - before;
+    assert!(got < 10_000, "{got} bytes for one entity");
+
+    let before = bytes.load(Ordering::Relaxed);
+    let (mut follower, _) = Follower::from_now(Arc::new(remote), Pattern::segment("Others")).await.unwrap();
+    let id = EntityId::new("Others", "p", "e").unwrap();
+    for n in 1..=10 {
+        pair.memory.commit_now((0..50).map(|n| large("Things", n)).collect()).unwrap();
+        pair.memory.commit_now(vec![Commit::new(id.clone(), n, [("value", Value::Int(1))])]).unwrap();
+        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        assert_eq!(snapshot.version, n);
+    }
+    let got = bytes.load(Ordering::Relaxed) - before;
+    assert!(got < 50_000, "{got} bytes of a core segment with ten changes, beside 10 MB of another one");
+}
+
+/// A leader that begins anew without its content, and whose clock is set back, is followed on.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_leader_whose_clock_goes_back_is_followed_on() {
+    let Pair { memory, remote, far, _server: server, .. } = pair().await;
+    memory.commit_now((0..3).map(|i| commit("a", i)).collect()).unwrap();
+    let (mut follower, heads) =
+        Follower::from_now(Arc::new(remote), Pattern::segment("Things")).await.unwrap();
+    assert_eq!((heads.len(), heads[0].version), (1, 3));
+    drop((server, memory));
+    let anew = Arc::new(WorkingMemory::new(Arc::new(|| 0)));
+    anew.commit_now(vec![commit("a", 7), commit("b", 8)]).unwrap();
+    let _server = MemoryServer::start(&far, "alice", Arc::clone(&anew)).await.unwrap();
+    let mut heard = BTreeMap::new();
+    while heard.len() < 2 {
+        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        heard.insert(
+            snapshot.id.entity().to_owned(),
+            (snapshot.version, snapshot.attribute("value").cloned()),
+        );
+    }
+    let expected = [("a", 7), ("b", 8)].map(|(name, v)| (name.to_owned(), (1, Some(Value::Int(v)))));
+    assert_eq!(heard, BTreeMap::from(expected));
+    anew.commit_now(vec![commit("a", 9)]).unwrap();
+    let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+    assert_eq!((snapshot.id.entity(), snapshot.version), ("a", 2));
+}
+
 /// Waits for this version of the only entity. Returns all versions received, in order.
-async fn received_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64) -> Vec<u64> {
+async fn received_until(follower: &mut Follower, last: u64) -> Vec<u64> {
     let mut heard = Vec::new();
     while heard.last() != Some(&last) {
-        heard.push(changes.recv().await.unwrap().version);
+        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        heard.push(snapshot.version);
     }
     heard
 }
@@ -107,14 +174,16 @@ async fn the_last_changes_are_not_missed() {
     let pair = pair().await;
     let (endpoint, state) = proxy(&pair.far.endpoints().await[0]).await;
     let slow = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
-    let behind = RemoteMemory::connect(&slow, "alice").await.unwrap();
+    let behind = Arc::new(RemoteMemory::connect(&slow, "alice").await.unwrap());
+    let (mut behind, _) = Follower::from_now(behind, Pattern::segment("Things")).await.unwrap();
+    let beside = Arc::new(pair.remote.clone());
+    let (mut beside, _) = Follower::from_now(beside, Pattern::any()).await.unwrap();
     let probe = keys::trace("alice", "probe").unwrap();
     let mut probed = slow.subscribe(probe.clone(), 1).await.unwrap();
     while probed.try_next().is_none() {
         pair.far.put(&probe, "x", Vec::new()).await.unwrap();
         tokio::task::yield_now().await;
     }
-    let (mut beside, mut behind) = (pair.remote.subscribe(), behind.subscribe());
     state.send(ProxyState::Held).unwrap();
     // Several times the size of the buffers on the way.
     let (count, large) = (24, 1 << 20);
@@ -140,7 +209,7 @@ async fn what_is_flooded_arrives_whole() {
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
-    let mut follower = Follower::from_start(remote, Pattern::any());
+    let mut follower = Follower::from_start(remote, Pattern::any()).await.unwrap();
     let (groups, entities) = (2000, 1000);
     let writer = tokio::spawn(async move {
         for group in 0..groups {

@@ -15,11 +15,16 @@ use super::{BUDGET_KB, Response, ServedMemory, forbid, log_failure};
 use crate::checked_query::Answer;
 use crate::error::MemoryError;
 use crate::maintain;
+use crate::memory::{Head, Heads};
 use crate::query::{Cursor, Query};
-use crate::wire::{self, MAX_BYTES, MAX_SNAPSHOTS, Maintain, QueryRequest, Snapshots};
+use crate::wire::{
+    self, HeadsPart, HeadsRequest, MAX_BYTES, MAX_SNAPSHOTS, Maintain, QueryRequest, Snapshots,
+};
 
 /// Least budget of a query, kB. It bounds the number of queries that wait.
 const MIN_QUERY_KB: u32 = 256;
+/// Most entities in one list of heads.
+const MAX_HEADS: usize = 1 << 16;
 /// How long one part of an answer may take, where the asker reads it in parts, and where he does not. An asker that is
 /// gone costs no more than this.
 const PART_TIME: Duration = Duration::from_millis(250);
@@ -67,6 +72,10 @@ impl ServedMemory {
             }
             return self.sealed(&maintain::carry_out(request, self.options.store.as_deref(), &self.memory)?);
         }
+        if encoding.starts_with("application/cbor;memoryx/list;") {
+            let request = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            return self.sealed(&self.heads(request)?);
+        }
         let request: QueryRequest = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
         self.sealed(&self.page(request)?)
     }
@@ -90,10 +99,21 @@ impl ServedMemory {
         Ok(Snapshots { snapshots, more: next.is_some(), next })
     }
 
+    /// The newest versions of entities, as many as fit into one message and into the time of one part.
+    fn heads(&self, request: HeadsRequest) -> Result<HeadsPart, MemoryError> {
+        let newest = Query { removed: true, most: Some(MAX_HEADS), ..Query::latest(request.pattern) };
+        let after = request.after.as_ref().map(Cursor::behind);
+        let answer = self.ask(&Query { after, ..newest }, PART_TIME)?;
+        let head = |head: Head| (head.id, head.version, head.arrived_ns, head.removed);
+        let entities = Heads::of(&answer.snapshots).entities.into_iter().map(head).collect();
+        Ok(HeadsPart { entities, next: answer.next.map(|next| next.id) })
+    }
+
     /// Asks the memory for as long as `time`. Queries that look at many entities take turns, so that together they use
     /// one processor at most.
     fn ask(&self, query: &Query, time: Duration) -> Result<Answer, MemoryError> {
-        if query.pattern.exact().is_some() && !query.long_term {
+        let is_quick = query.pattern.exact().is_some() && !query.long_term;
+        if is_quick || query.most == Some(0) {
             return self.memory.query_while(query, &|| true);
         }
         let turn = RefCell::new(self.turn.lock());

@@ -1,7 +1,7 @@
 //! Shares a working memory over Zenoh: answers commits and queries, takes updates, and publishes every change.
 //!
-//! Changes go through a [`Follower`]: a network that is slow for a while loses nothing that the memory still has.
-//! Changes that wait together are sent together. A slow reader does not block the others: Zenoh drops what its link
+//! A publisher that lags reads the memory: a network that is slow for a while loses nothing that the memory still has.
+//! Changes that wait together are sent together, by core segment. A slow reader does not block the others: Zenoh drops what its link
 //! does not take. The reader sees the gap in the next message or, when nothing more changes, in the number of changes
 //! that an idle memory publishes, and queries the rest. Commits that wait together are made durable together. What
 //! others send is checked like any commit. What cannot be decoded is refused or, where the sender expects no answer,
@@ -18,8 +18,6 @@ use tokio::task::JoinSet;
 
 use crate::entity::Commit;
 use crate::error::MemoryError;
-use crate::follow::Follower;
-use crate::query::Pattern;
 use crate::store::LongTermMemory;
 use crate::wire::{self, CommitRequest, Versions};
 use crate::working::WorkingMemory;
@@ -86,7 +84,7 @@ impl MemoryServer {
         let entities = wire::every_entity(agent)?;
         let service = keys::alive(agent, "memory")?;
 
-        let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
+        let publisher = ChangePublisher::new(session, agent, Arc::clone(&memory)).await?;
         let queries = Arc::new(Semaphore::new(MAX_PARALLEL_QUERIES));
         let room = Arc::new(Semaphore::new(BUDGET_KB as usize));
         let refusals = Arc::default();
@@ -110,8 +108,7 @@ impl MemoryServer {
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.take_updates(updates));
-        let publisher = ChangePublisher::new(session, agent).await?;
-        tasks.spawn(publisher.publish(follower));
+        tasks.spawn(publisher.publish());
         let alive = session.alive(&service).await.map_err(failed)?;
         Ok(Self { _alive: alive, _tasks: tasks })
     }

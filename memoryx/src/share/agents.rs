@@ -148,7 +148,7 @@ impl FollowingAgent {
 
     /// Waits for the other agent's pose; false when it does not come in time.
     async fn place_is_known(&self, other: &str) -> bool {
-        let mut changes = self.memory.subscribe();
+        let mut changes = self.memory.changes(&Pattern::segment(AGENTS));
         let known = async {
             while own_from_other(&self.memory, &self.own, other).is_none() {
                 // A lagging receiver checks again as well.

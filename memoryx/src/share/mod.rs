@@ -31,9 +31,6 @@ pub use frames::{WORLD, own_from_other, transformed};
 const MAX_BATCH: usize = 256;
 /// Snapshots of the own memory per query.
 const PAGE_SIZE: usize = 4096;
-/// Before a restart, changes may have been committed here in another order than they arrived there. So a query after
-/// it overlaps the last copied arrival time by this much, ns.
-const DISORDER_NS: u64 = 10_000_000_000;
 /// How long to wait before a memory that refuses for the moment is tried again.
 const RETRY_INTERVAL: std::time::Duration = std::time::Duration::from_millis(500);
 
@@ -70,8 +67,8 @@ impl Following {
         settings: FollowSettings,
     ) -> Result<Self, MemoryError> {
         crate::entity::check_name(&settings.agent)?;
-        let (told, since_ns) = resume_position(&memory, &settings).await?;
-        let follower = Follower::resume(other, settings.pattern.clone(), told, since_ns).await?;
+        let told = last_taken(&memory, &settings).await?;
+        let follower = Follower::resume(other, settings.pattern.clone(), told).await?;
         let updater = match &settings.fuse_into {
             Some(provider) => Some(Updater::new(Arc::<WorkingMemory>::clone(&memory), provider)?),
             None => None,
@@ -103,17 +100,16 @@ pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> 
     EntityId::new(id.segment(), &format!("{agent}.{}", id.provider()), id.entity())
 }
 
-/// What this memory has of another: the last copied snapshot of each entity, and the arrival time until which all
-/// were copied, ns.
-async fn resume_position(
+/// What this memory has of another: the last copied snapshot of each entity.
+async fn last_taken(
     memory: &WorkingMemory,
     settings: &FollowSettings,
-) -> Result<(BTreeMap<EntityId, LastSeen>, u64), MemoryError> {
+) -> Result<BTreeMap<EntityId, LastSeen>, MemoryError> {
     let prefix = format!("{}.", settings.agent);
-    let pattern = Pattern::any().of_provider(&format!("{prefix}*"));
+    let segment = settings.pattern.segment.clone();
+    let pattern = Pattern { segment, ..Pattern::any() }.of_provider(&format!("{prefix}*"));
     let mut told: BTreeMap<EntityId, LastSeen> = BTreeMap::new();
-    let mut until_ns = 0;
-    // A removal has no attributes. It is the version after its predecessor, and arrived there no later than here.
+    // A removal has no attributes. It is the version after its predecessor; when it arrived there is unknown.
     let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PAGE_SIZE);
     while let Some(piece) = pieces.next(memory).await? {
         for snapshot in piece {
@@ -126,13 +122,12 @@ async fn resume_position(
             let last = told.entry(id).or_default();
             if let (Some(version), Some(arrived_ns)) = (number("version"), number("arrived_ns")) {
                 *last = LastSeen { version, arrived_ns };
-                until_ns = until_ns.max(arrived_ns);
             } else if snapshot.is_removed() {
-                *last = LastSeen { version: last.version + 1, arrived_ns: snapshot.arrived_ns };
+                *last = LastSeen { version: last.version + 1, arrived_ns: 0 };
             }
         }
     }
-    Ok((told, until_ns.saturating_sub(DISORDER_NS)))
+    Ok(told)
 }
 
 struct FollowTask {

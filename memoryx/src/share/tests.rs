@@ -48,7 +48,7 @@ async fn until(mut holds: impl FnMut() -> bool) {
 
 /// Waits until the data here describe a certain time.
 async fn arrived(memory: &WorkingMemory, id: &EntityId, time: u64) {
-    let mut changes = memory.subscribe();
+    let mut changes = memory.changes(&Pattern::any());
     while memory.latest_now(id).map_or(true, |s| s.referenced_ns < time) {
         // A lagging receiver checks again as well.
         let _ = changes.recv().await;
@@ -134,7 +134,7 @@ fn transforms_compose_like_isometries() {
 async fn after_a_cut_both_sides_are_equal() {
     let folder = tempfile::tempdir().unwrap();
     let store = Arc::new(LongTermMemory::open(&folder.path().join("alice.redb")).unwrap());
-    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).unwrap();
     let session = Session::open(&SessionConfig::default()).await.unwrap();
     let clock = session.clone();
     let alice = WorkingMemory::new(Arc::new(move || clock.now_ns()));

@@ -84,11 +84,35 @@ impl Policies {
     }
 }
 
+/// So many versions are noted as given before they are, so that few commits whose snapshots are not stored wait for the
+/// disk.
+const GIVEN_AHEAD: u64 = 1024;
+
 /// The last stored snapshot of an entity, and a newer one that may still have to be stored.
 #[derive(Clone, Debug, Default)]
 struct LastStored {
     kept: Option<Arc<Snapshot>>,
     pending: Option<Arc<Snapshot>>,
+    /// The last version that is noted as given on disk, and the last that was given.
+    noted: u64,
+    given: u64,
+}
+
+impl LastStored {
+    /// Whether the last version is a removal that is stored.
+    fn is_gone(&self) -> bool {
+        self.pending.is_none() && self.kept.as_ref().is_some_and(|kept| kept.is_removed())
+    }
+}
+
+#[derive(Debug, Default)]
+struct State {
+    last: BTreeMap<EntityId, LastStored>,
+    /// Of entities that are not stored: the last version that is noted as given on disk, and the last that was given.
+    noted: u64,
+    given: u64,
+    /// The last that earlier processes may have given.
+    given_before: u64,
 }
 
 /// Writes changes of working memory to long-term memory.
@@ -96,13 +120,18 @@ struct LastStored {
 pub struct Consolidator {
     store: Arc<LongTermMemory>,
     policies: Policies,
-    last: Mutex<BTreeMap<EntityId, LastStored>>,
+    state: Mutex<State>,
 }
 
 impl Consolidator {
     /// A consolidator that writes to `store`, as the policies say.
-    pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Self {
-        Self { store, policies, last: Mutex::default() }
+    ///
+    /// # Errors
+    /// When the store cannot be read.
+    pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Result<Self, StoreError> {
+        let noted = store.given_to_others()?;
+        let state = Mutex::new(State { noted, given: noted, given_before: noted, ..State::default() });
+        Ok(Self { store, policies, state })
     }
 
     /// The store that it writes to.
@@ -110,54 +139,121 @@ impl Consolidator {
         &self.store
     }
 
-    /// Stores those of the snapshots that the policies select; they are on disk when this returns. Returns how many.
+    /// Stores those of the snapshots that the policies select; they are on disk when this returns. Of the others, it is on
+    /// disk that their versions were given. Returns how many were selected.
     ///
     /// # Errors
     /// As [`LongTermMemory::persist`]; then none is stored, and the same snapshots can be given again.
     pub fn consolidate(&self, snapshots: &[Arc<Snapshot>]) -> Result<u64, StoreError> {
-        let mut last = self.last.lock();
+        let mut state = self.state.lock();
         let mut changed: BTreeMap<EntityId, LastStored> = BTreeMap::new();
         let mut chosen = Vec::new();
+        let mut given_to_others = state.given;
         for snapshot in snapshots {
             let policy = self.policies.of(snapshot.id.segment());
             if policy.ignores(&snapshot.id) {
+                given_to_others = given_to_others.max(snapshot.version);
                 continue;
             }
             if policy.keeps_all() {
                 chosen.push(self.policies.as_kept(snapshot));
                 continue;
             }
-            let known = changed.get(&snapshot.id).or_else(|| last.get(&snapshot.id)).cloned();
+            let known = changed.get(&snapshot.id).or_else(|| state.last.get(&snapshot.id)).cloned();
             let mut known = match known {
                 Some(known) => known,
-                None => LastStored { kept: self.store.newest(&snapshot.id)?, pending: None },
+                None => LastStored { kept: self.store.newest(&snapshot.id)?, ..LastStored::default() },
             };
+            known.given = snapshot.version;
             if policy.keeps(snapshot, known.kept.as_deref()) {
                 chosen.push(self.policies.as_kept(snapshot));
-                known = LastStored { kept: Some(Arc::clone(snapshot)), pending: None };
+                (known.kept, known.pending) = (Some(Arc::clone(snapshot)), None);
             } else {
                 known.pending = Some(Arc::clone(snapshot));
             }
             changed.insert(snapshot.id.clone(), known);
         }
-        self.store.persist(&chosen)?;
-        last.append(&mut changed);
+        let mut notes = Vec::new();
+        for (id, last) in &mut changed {
+            // What is gone is stored as that, and needs no place in this table.
+            if last.is_gone() {
+                last.noted = last.given;
+                notes.push((Some(id), last.given));
+                continue;
+            }
+            // A stored version need not be noted; while something is written, the next versions are noted along with it.
+            let stored = last.kept.as_ref().map_or(0, |kept| kept.version);
+            let is_soon = !chosen.is_empty() && last.given + GIVEN_AHEAD / 2 > last.noted;
+            if last.given > last.noted.max(stored) || is_soon {
+                last.noted = last.given + GIVEN_AHEAD;
+                notes.push((Some(id), last.noted));
+            }
+        }
+        let is_noted = given_to_others <= state.noted;
+        let noted_of_others = if is_noted { state.noted } else { given_to_others + GIVEN_AHEAD };
+        if !is_noted {
+            notes.push((None, noted_of_others));
+        }
+        self.store.persist_with(&chosen, &notes)?;
+        (state.given, state.noted) = (given_to_others, noted_of_others);
+        for (id, last) in changed {
+            match last.is_gone() {
+                true => drop(state.last.remove(&id)),
+                false => drop(state.last.insert(id, last)),
+            }
+        }
         Ok(chosen.len() as u64)
     }
 
-    /// Stores the last snapshots that a rate has held back; to be called at the end. Returns how many.
+    /// Stores the last snapshots that a rate has held back. To be called at the end; then the version counts go on where
+    /// they are. Returns how many.
     ///
     /// # Errors
     /// As [`LongTermMemory::persist`]; then they are still held back.
     pub fn flush(&self) -> Result<u64, StoreError> {
-        let mut last = self.last.lock();
-        let rated = |id: &EntityId| matches!(self.policies.of(id.segment()), Policy::AtMost { .. });
-        let held: Vec<_> =
-            last.iter().filter(|(id, _)| rated(id)).filter_map(|(_, l)| l.pending.clone()).collect();
+        self.flush_if(true, |_, _| true)
+    }
+
+    /// Stores the last snapshots that a rate has held back for as long as it asks, at the memory's time `now_ns`. To be
+    /// called now and then, so that an entity that changes no more is stored as it is. Returns how many.
+    ///
+    /// # Errors
+    /// As [`Self::flush`].
+    pub fn flush_due(&self, now_ns: u64) -> Result<u64, StoreError> {
+        self.flush_if(false, |hz, kept| {
+            now_ns.saturating_sub(kept.map_or(0, |kept| kept.arrived_ns)) as f64 * 1e-9 * hz >= 1.0
+        })
+    }
+
+    fn flush_if(
+        &self,
+        at_end: bool,
+        is_due: impl Fn(f64, Option<&Snapshot>) -> bool,
+    ) -> Result<u64, StoreError> {
+        let mut state = self.state.lock();
+        let is_held = |id: &EntityId, last: &LastStored| match self.policies.of(id.segment()) {
+            Policy::AtMost { hz } => last.pending.is_some() && is_due(*hz, last.kept.as_deref()),
+            _ => false,
+        };
+        let held: Vec<_> = (state.last.iter().filter(|(id, last)| is_held(id, last)))
+            .filter_map(|(_, last)| last.pending.clone())
+            .collect();
         let kept: Vec<_> = held.iter().map(|snapshot| self.policies.as_kept(snapshot)).collect();
-        self.store.persist(&kept)?;
+        let mut notes = Vec::new();
+        if at_end {
+            let ahead = state.last.iter().filter(|(_, last)| last.noted > last.given);
+            notes.extend(ahead.map(|(id, last)| (Some(id), last.given)));
+            notes.extend((state.noted > state.given).then_some((None, state.given)));
+        }
+        self.store.persist_with(&kept, &notes)?;
+        if at_end {
+            state.last.values_mut().for_each(|last| last.noted = last.given);
+            state.noted = state.given;
+        }
         for snapshot in &held {
-            last.insert(snapshot.id.clone(), LastStored { kept: Some(Arc::clone(snapshot)), pending: None });
+            if let Some(last) = state.last.get_mut(&snapshot.id) {
+                (last.kept, last.pending) = (Some(Arc::clone(snapshot)), None);
+            }
         }
         Ok(held.len() as u64)
     }
@@ -193,7 +289,12 @@ impl Policy {
 
 impl Backing for Consolidator {
     fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        self.store.last_version(id)
+        let is_stored = !self.policies.of(id.segment()).ignores(id);
+        Ok(if is_stored { self.store.last_given(id)? } else { self.state.lock().given_before })
+    }
+
+    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+        Ok(self.store.holds_any_of(snapshots)?)
     }
 
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {

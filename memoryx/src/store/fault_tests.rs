@@ -26,8 +26,9 @@ struct Disk {
     synced: Vec<u8>,
     /// Writes since the last sync.
     loose: Vec<(u64, Vec<u8>)>,
-    /// Syncs so far.
+    /// Syncs, and bytes written, so far.
     syncs: u64,
+    written: u64,
     /// Number of changes that still succeed.
     left: Option<u64>,
     /// Whether the changes after that report a full disk.
@@ -114,6 +115,7 @@ impl StorageBackend for Medium {
         disk.change()?;
         let from = offset as usize;
         disk.seen.get_mut(from..from + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(data);
+        disk.written += data.len() as u64;
         disk.loose.push((offset, data.to_vec()));
         Ok(())
     }
@@ -223,6 +225,182 @@ fn a_full_disk_is_an_error_and_no_damage() {
     }
 }
 
+/// A write or a sync that fails once, wherever it is: memory and disk agree, and the next commit works without a restart.
+#[test]
+fn after_a_failure_at_any_write_memory_and_disk_agree() {
+    for (changes, full) in (0..).flat_map(|changes| [(changes, false), (changes, true)]) {
+        let medium = Medium::default();
+        let store = Arc::new(medium.store().unwrap());
+        let backing: Arc<dyn Backing> = Arc::<LongTermMemory>::clone(&store);
+        let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(backing);
+        let commit = |value: u64| {
+            let id = if value.is_multiple_of(3) { "S/p/a" } else { "S/p/b" };
+            memory.commit_now(vec![crate::Commit::new(id.parse().unwrap(), value, [])])
+        };
+        commit(0).unwrap();
+        medium.fail_after(Some(changes), full);
+        let mut acknowledged = Vec::new();
+        let mut failures = 0;
+        for value in 1..12 {
+            match commit(value) {
+                Ok(versions) => acknowledged.push((value, versions[0])),
+                Err(_) => {
+                    failures += 1;
+                    medium.fail_after(None, false);
+                }
+            }
+        }
+        medium.fail_after(None, false);
+        commit(12).unwrap();
+        let query = Query::history(Pattern::any());
+        let held = memory.query_now(&query).unwrap();
+        assert_eq!(held, store.query(&query).unwrap(), "after {changes} changes");
+        let has = |(value, version)| held.iter().any(|s| (s.referenced_ns, s.version) == (value, version));
+        assert!(failures <= 1 && acknowledged.into_iter().all(has));
+        assert!(store.verify().unwrap().is_intact());
+        if failures == 0 {
+            assert!(changes > 50, "ten commits are more than {changes} writes");
+            break;
+        }
+    }
+}
+
+/// An age limit that drops a hundredth of the store each time writes little more than that, and nothing when nothing is old.
+#[test]
+fn retention_writes_in_proportion_to_what_it_drops() {
+    let medium = Medium::default();
+    let store = medium.store().unwrap();
+    let id = |n: u64| format!("S/p/e{n:03}");
+    let written = || medium.0.lock().written;
+    // A minute: 100 of 500 entities get 5 snapshots of 500 B each.
+    let minute = |minute: u64| {
+        for round in 0..5 {
+            let entities = (0..100).map(|n| (minute * 100 + n) % 500);
+            let version = minute / 5 * 5 + round + 1;
+            let group: Vec<_> = entities.map(|n| padded(&id(n), version, minute)).collect();
+            store.persist(&group).unwrap();
+        }
+    };
+    (0..100).for_each(minute);
+    let idle: Vec<_> = (0..2000).map(|n| padded(&format!("S/idle/e{n}"), 1, 0)).collect();
+    store.persist(&idle).unwrap();
+    let retain = |now: u64| store.retain(Retention { age_ns: Some(99), bytes: None }, now).unwrap();
+    retain(101);
+    for now in 100..130 {
+        minute(now);
+        let before = written();
+        let dropped = retain(now + 2);
+        assert!(dropped.snapshots >= 400 && dropped.bytes > 100_000, "{dropped:?}");
+        let (wrote, dropped) = (written() - before, dropped.bytes);
+        assert!(wrote < 3 * dropped, "{wrote} bytes written to drop {dropped}");
+        let before = written();
+        assert_eq!(retain(now + 2), Dropped::default());
+        assert_eq!(written(), before, "an idle store writes nothing");
+    }
+    assert_eq!(store.stats().unwrap().entities, 2500);
+    assert!(store.verify().unwrap().is_intact());
+    let mut lines = Vec::new();
+    assert_eq!(store.export(&Pattern::any(), &mut lines), Ok(store.stats().unwrap().snapshots));
+}
+
+/// A snapshot of 500 B that arrived at a time.
+fn padded(id: &str, version: u64, arrived_ns: u64) -> Arc<Snapshot> {
+    let instances = vec![crate::Instance::new([("data", armarium_values::Value::Bytes(vec![7; 500]))])];
+    Arc::new(Snapshot { arrived_ns, instances, ..(*snapshot(id, version, version, 0)).clone() })
+}
+
+/// Names that come and go for an hour, 10 000 a minute: file and entities stay small. What cannot be kept small is said.
+#[test]
+fn names_that_come_and_go_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("names.redb");
+    let store = LongTermMemory::open(&path).unwrap();
+    let retention = Retention { age_ns: Some(1000), bytes: Some(4_000_000) };
+    let mut most = StoreStats { entities: 0, snapshots: 0, bytes: 0, file_bytes: 0 };
+    for minute in 0..60 {
+        for part in 0..10 {
+            let names = (0..1000).map(|n| format!("S/p/e{minute}-{part}-{n}"));
+            let born = names.clone().map(|name| snapshot(&name, 1, minute, 1));
+            let gone = names.map(|name| {
+                let removal = Snapshot {
+                    version: 2,
+                    instances: Vec::new(),
+                    ..(*snapshot(&name, 2, minute, 1)).clone()
+                };
+                Arc::new(removal)
+            });
+            store.persist(&born.chain(gone).collect::<Vec<_>>()).unwrap();
+        }
+        let dropped = store.retain(retention, minute + 2).unwrap();
+        assert_eq!(dropped.over, 0);
+        let stats = store.stats().unwrap();
+        most = if stats.file_bytes > most.file_bytes { stats } else { most };
+    }
+    assert!(most.entities < 60_000 && most.bytes <= 4_000_000, "{most:?}");
+    assert!(most.file_bytes < 40_000_000, "{most:?}");
+    assert!(store.verify().unwrap().is_intact());
+    let dropped = store.retain(Retention { age_ns: Some(0), bytes: Some(0) }, u64::MAX).unwrap();
+    assert_eq!((dropped.over, store.stats().unwrap().entities), (0, 0), "{dropped:?}");
+    store.persist(&[snapshot("S/p/stays", 1, 1, 1)]).unwrap();
+    let dropped = store.retain(Retention { age_ns: None, bytes: Some(0) }, u64::MAX).unwrap();
+    assert!(dropped.over > 0 && store.newest(&"S/p/stays".parse().unwrap()).unwrap().is_some());
+}
+
+/// What policies do not store has versions, too. The copy of an open file stands for the file of a killed process.
+#[test]
+fn acknowledged_versions_are_never_given_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let policies = Policies::all(Policy::AtMost { hz: 1.0 })
+        .with("Kept", Policy::Everything)
+        .with("Changed", Policy::OnChange)
+        .with("Lost", Policy::Nothing);
+    let open = |path: &Path| {
+        let config = crate::MemoryConfig { policies: policies.clone(), ..crate::MemoryConfig::new("a") };
+        crate::AgentMemory::open(&config.with_store(path), Arc::new(|| 1)).unwrap()
+    };
+    let names = ["Kept/p/e", "Changed/p/e", "Lost/p/e", "Rated/p/e"];
+    let commit = |agent: &crate::AgentMemory, id: &str, expected: Option<u64>| {
+        let update = crate::Commit::new(id.parse().unwrap(), 7, []);
+        agent.memory().commit_now(vec![crate::Commit { expected_version: expected, ..update }])
+    };
+    let (path, killed) = (folder.path().join("ended.redb"), folder.path().join("killed.redb"));
+    let mut last = 0;
+    for _ in 0..2 {
+        let agent = open(&path);
+        for _ in 0..1500 {
+            let versions = names.map(|id| commit(&agent, id, None).unwrap()[0]);
+            assert_eq!(versions, [last + 1; 4], "an end in good order leaves no gap");
+            last += 1;
+        }
+        std::fs::copy(&path, &killed).unwrap();
+    }
+    let agent = open(&killed);
+    for id in names {
+        assert!(id.starts_with("Kept") || commit(&agent, id, Some(last)).is_err(), "{id}");
+        let version = commit(&agent, id, None).unwrap()[0];
+        assert!(version > last && (version == last + 1 || !id.starts_with("Kept")), "{id} has {version}");
+    }
+    assert_eq!(commit(&agent, "Rated/p/new", None), Ok(vec![1]), "a new name begins at 1");
+}
+
+#[test]
+fn a_file_of_the_earlier_format_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with(folder.path(), "old.redb", 3);
+    let old = Database::create(&path).unwrap();
+    let write = old.begin_write().unwrap();
+    write.delete_table(GIVEN).unwrap();
+    write.delete_table(AGES).unwrap();
+    write.delete_table(KEPT).unwrap();
+    write.delete_table(REMOVED).unwrap();
+    write.open_table(META).unwrap().insert("format", EARLIER_FORMAT).unwrap();
+    write.commit().unwrap();
+    drop(old);
+    let store = LongTermMemory::open(&path).unwrap();
+    assert_eq!(store.last_version(&"S/p/e".parse().unwrap()), Ok(3));
+    assert!(store.verify().unwrap().is_intact());
+}
+
 fn file_with(folder: &Path, name: &str, snapshots: u64) -> std::path::PathBuf {
     let path = folder.join(name);
     let store = LongTermMemory::open(&path).unwrap();
@@ -326,7 +504,7 @@ fn other_files_are_refused_and_left_alone() {
     drop(other);
     assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
 
-    for other_format in [1, 3] {
+    for other_format in [1, 4] {
         let path = folder.path().join(format!("format{other_format}.redb"));
         drop(LongTermMemory::open(&path).unwrap());
         let newer = Database::create(&path).unwrap();

@@ -210,7 +210,7 @@ fn what_is_coded_is_kept_so_and_nothing_contradicts_it() {
         _ => None,
     };
     let coded = || Policies::all(Policy::Everything).coded("Images", Coding::new("every other byte", code));
-    let backing = Arc::new(Consolidator::new(Arc::clone(&store), coded()));
+    let backing = Arc::new(Consolidator::new(Arc::clone(&store), coded()).unwrap());
     let memory = WorkingMemory::new(Arc::new(|| 1)).with_backing(backing);
     let come = [image(1, 3), image(2, 4), snapshot("Notes/p/e", 1, 1, 7)];
     for snapshot in &come {
@@ -236,7 +236,7 @@ fn what_is_coded_is_kept_so_and_nothing_contradicts_it() {
     // Working memory under a name, then the same snapshots again: what is stored stays as it is.
     assert_eq!(store.save_named("now", &memory), Ok(2));
     assert_eq!(bytes(&store.named("now").unwrap()[0]), 50_000);
-    let again = Consolidator::new(Arc::clone(&store), coded());
+    let again = Consolidator::new(Arc::clone(&store), coded()).unwrap();
     assert_eq!(again.consolidate(&[newest]), Ok(1));
     assert_eq!(store.stats().unwrap().snapshots, 3);
     assert!(store.verify().unwrap().is_intact());
@@ -293,7 +293,10 @@ fn what_does_not_fit_stops_no_start() {
 fn a_memory_without_a_file_counts_what_it_holds_and_says_what_it_lacks() {
     let memory = WorkingMemory::new(Arc::new(|| 1));
     let stats = crate::maintain::carry_out(crate::wire::Maintain::Stats, None, &memory).unwrap();
-    assert_eq!(stats.counts.keys().collect::<Vec<_>>(), ["working_bytes", "working_entities"]);
+    assert_eq!(
+        stats.counts.keys().collect::<Vec<_>>(),
+        ["working_bytes", "working_entities", "working_updates"]
+    );
     let refused = crate::maintain::carry_out(crate::wire::Maintain::Compact, None, &memory).unwrap_err();
     assert!(refused.to_string().contains("--store"), "{refused}");
 }

@@ -4,7 +4,7 @@
 //! stored completely or not at all. This module does not decide what is worth storing (see [`crate::Consolidator`])
 //! and does not cache snapshots. All functions block on the disk.
 //!
-//! # The file, format 2
+//! # The file, format 3
 //!
 //! A redb file of file format 3. Snapshots are stored in chunks, in the order of arrival; an index finds them by
 //! entity and version. So storing a group costs little more than writing its bytes, and reading everything means
@@ -12,19 +12,24 @@
 //!
 //! | table | key | value |
 //! |---|---|---|
-//! | `meta` | name (text) | `u64`: `format` (2), `next_entity`, `next_chunk`, `snapshots`, `bytes` (of chunks and blobs) |
+//! | `meta` | name (text) | `u64`: `format` (3), `next_entity`, `next_chunk`, `snapshots`, `bytes` (of chunks and blobs) |
 //! | `entities` | segment `00` provider `00` entity `00` | its number (`u64`), and whether later versions never speak of earlier times |
 //! | `index` | entity's number, version | chunk (`u64`), offset and length in it (`u32` each), referenced_ns (`u64`) |
 //! | `chunks` | number, counted up | records, one after the other, up to 64 kB; a longer record has a chunk of its own |
 //! | `blobs` | SHA-256 of the content | the content: byte values of 16 kB or more |
 //! | `blob_uses` | SHA-256 of the content | how many records name it (`u64`) |
+//! | `ages` | when the newest record of a chunk arrived, ns, and the chunk's number; 0 where that is not known yet | nothing: the chunks that retention has not come to |
+//! | `kept` | number of another chunk, whose records retention has moved because they are the newest of their entities | how many of its bytes are still in the index (`u64`) |
+//! | `removed` | entity's number | its key, if it was ever removed |
+//! | `given` | entity's number; the largest `u64` for all entities that are not stored | no later version than this was given to it; at least the newest stored one where there is no row |
 //! | `named` | name (text) | a named snapshot of working memory: the time it was taken, then entity numbers and versions (`u64` each) |
 //!
 //! A record: its length (`u32`), CRC-32 (IEEE, `u32`) of the rest, the entity's number, the version, referenced_ns,
 //! sent_ns, arrived_ns (`u64` each), the number of instances, and for each the confidence (`f64`), the attributes and
 //! the covariances. All numbers are little-endian, counts and lengths LEB128; a value is a byte for its kind, then
 //! its content (`record.rs` has the list). Names hold no control characters, so a zero byte ends them unambiguously.
-//! One transaction changes all tables, so they are always consistent.
+//! One transaction changes all tables, so they are always consistent. A file of format 2, which lacks these four tables, gets
+//! them when it is opened.
 //!
 //! # Assumptions about the medium
 //! A sync that has returned has written its data. A write that was not synced may be there, missing, or there in
@@ -34,7 +39,8 @@
 //! # Several processes
 //! [`LongTermMemory::open`] keeps the file for as long as it lives. [`LongTermMemory::open_shared`] opens it for each use only,
 //! so that several processes read and write one file. A snapshot of an entity that another process has written meanwhile is
-//! stored as the entity's next version: nothing is lost, and what was written last is the newest.
+//! stored as the entity's next version: nothing is lost, and what was written last is the newest. Versions that are not stored are
+//! not counted there.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -81,7 +87,9 @@ use parking_lot::{Mutex, RwLock};
 use write::{EntityCache, Totals};
 
 /// The format that this program writes and reads.
-const FORMAT: u64 = 2;
+const FORMAT: u64 = 3;
+/// The earlier format, which lacks the tables `ages`, `kept`, `removed` and `given`.
+const EARLIER_FORMAT: u64 = 2;
 /// Snapshots that are loaded together, and about how many bytes of them.
 const PAGE_SIZE: usize = 8192;
 const MAX_PAGE_BYTES: u64 = 16 << 20;
@@ -93,6 +101,10 @@ const INDEX: TableDefinition<'_, (u64, u64), RecordPlace> = TableDefinition::new
 const CHUNKS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("chunks");
 const BLOBS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("blobs");
 const BLOB_USES: TableDefinition<'_, &[u8], u64> = TableDefinition::new("blob_uses");
+const AGES: TableDefinition<'_, (u64, u64), ()> = TableDefinition::new("ages");
+const KEPT: TableDefinition<'_, u64, u64> = TableDefinition::new("kept");
+const REMOVED: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("removed");
+const GIVEN: TableDefinition<'_, u64, u64> = TableDefinition::new("given");
 const NAMED: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("named");
 
 /// How long an opening waits for another process that has the file, where processes share it, and where they do not.
@@ -231,6 +243,7 @@ impl LongTermMemory {
             }
             query.after = Some(last);
         }
+        memory.count_from(self.given_ahead()?);
         if let Some(error) = refused {
             tracing::warn!(%error, store = self.name, "some of what was kept is not in working memory");
         }
@@ -279,7 +292,11 @@ fn beside(path: &Path) -> PathBuf {
 
 impl Backing for LongTermMemory {
     fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        Ok(self.newest_version(id)?)
+        Ok(self.last_given(id)?)
+    }
+
+    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+        Ok(self.holds_any_of(snapshots)?)
     }
 
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {

@@ -52,7 +52,8 @@ impl LongTermMemory {
                 list.extend_from_slice(&writer.number(&snapshot.id, memo)?.to_le_bytes());
                 list.extend_from_slice(&snapshot.version.to_le_bytes());
             }
-            writer.name(name, Some(&list))?;
+            let before = writer.name(name, Some(&list))?;
+            writer.unpin(entries(&before.unwrap_or_default()))?;
             Ok(((), true))
         })?;
         Ok(held.len())
@@ -130,7 +131,9 @@ impl LongTermMemory {
     /// [`StoreError::NoSuchName`]; when the disk fails.
     pub fn forget_named(&self, name: &str) -> Result<(), StoreError> {
         let was = self.write(|writer, _| {
-            let was = writer.name(name, None)?;
+            let list = writer.name(name, None)?;
+            let was = list.is_some();
+            writer.unpin(entries(&list.unwrap_or_default()))?;
             Ok((was, was))
         })?;
         if was { Ok(()) } else { Err(no_such(name)) }

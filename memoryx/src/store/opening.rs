@@ -4,12 +4,12 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
-use redb::{Database, ReadableDatabase};
+use redb::{Database, ReadableDatabase, ReadableTable};
 
 use super::error::Fault;
 use super::{
-    BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, INDEX, LongTermMemory, META, NAMED, SHARED_WAIT, StoreError,
-    WAIT,
+    AGES, BLOB_USES, BLOBS, CHUNKS, EARLIER_FORMAT, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory,
+    META, NAMED, REMOVED, SHARED_WAIT, StoreError, WAIT,
 };
 
 /// Between two tries to open a file that another process has open.
@@ -124,6 +124,7 @@ impl LongTermMemory {
             Ok(meta) => {
                 return match meta.get("format")?.map_or(0, |v| v.value()) {
                     FORMAT => Ok(()),
+                    EARLIER_FORMAT => bring_up_to_date(database),
                     found => Err(StoreError::Format { path, found, supported: FORMAT }.into()),
                 };
             }
@@ -142,6 +143,10 @@ impl LongTermMemory {
         write.open_table(CHUNKS)?;
         write.open_table(BLOBS)?;
         write.open_table(BLOB_USES)?;
+        write.open_table(AGES)?;
+        write.open_table(KEPT)?;
+        write.open_table(REMOVED)?;
+        write.open_table(GIVEN)?;
         write.open_table(NAMED)?;
         Ok(write.commit()?)
     }
@@ -199,4 +204,20 @@ impl LongTermMemory {
             Fault::Redb(error) => StoreError::Failed { path, what: error.to_string() },
         }
     }
+}
+
+/// Adds what a file of the earlier format lacks.
+fn bring_up_to_date(database: &Database) -> Result<(), Fault> {
+    let write = database.begin_write()?;
+    {
+        let (chunks, mut ages) = (write.open_table(CHUNKS)?, write.open_table(AGES)?);
+        for row in chunks.iter()? {
+            ages.insert((0, row?.0.value()), ())?;
+        }
+        write.open_table(KEPT)?;
+        write.open_table(REMOVED)?;
+        write.open_table(GIVEN)?;
+        write.open_table(META)?.insert("format", FORMAT)?;
+    }
+    Ok(write.commit()?)
 }

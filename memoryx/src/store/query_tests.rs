@@ -94,6 +94,10 @@ struct InParts {
 }
 
 impl Backing for InParts {
+    fn holds_any(&self, _: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+        Ok(false)
+    }
+
     fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
         self.store.last_version(id)
     }

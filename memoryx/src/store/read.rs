@@ -9,7 +9,8 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::error::Fault;
 use super::record::{self, Hash, RecordError};
-use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, RecordPlace, StoreError};
+use super::write::OF_OTHERS;
+use super::{AGES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, RecordPlace, StoreError};
 use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -24,6 +25,9 @@ pub(super) struct Reader {
     pub(super) chunks: ReadOnlyTable<u64, &'static [u8]>,
     blobs: ReadOnlyTable<&'static [u8], &'static [u8]>,
     entities: ReadOnlyTable<&'static [u8], (u64, bool)>,
+    given: ReadOnlyTable<u64, u64>,
+    ages: ReadOnlyTable<(u64, u64), ()>,
+    kept: ReadOnlyTable<u64, u64>,
     /// The last chunk read.
     last: RefCell<Option<(u64, Chunk)>>,
 }
@@ -46,6 +50,9 @@ impl Reader {
             chunks: transaction.open_table(CHUNKS)?,
             blobs: transaction.open_table(BLOBS)?,
             entities: transaction.open_table(ENTITIES)?,
+            given: transaction.open_table(GIVEN)?,
+            ages: transaction.open_table(AGES)?,
+            kept: transaction.open_table(KEPT)?,
             last: RefCell::new(None),
         })
     }
@@ -85,6 +92,26 @@ impl Reader {
     /// The newest version of an entity, and its row.
     pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, RecordPlace)>, Fault> {
         self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
+    }
+
+    /// When the newest record of the oldest chunk arrived that retention has not come to, ns.
+    pub(super) fn oldest_chunk(&self) -> Result<Option<u64>, Fault> {
+        let oldest = self.ages.first()?;
+        Ok(oldest.map(|(key, _)| key.value().0))
+    }
+
+    /// Whether a record is forgotten, though its chunk is still there.
+    pub(super) fn is_forgotten(&self, chunk: u64, offset: usize, head: record::Head) -> Result<bool, Fault> {
+        if self.kept.get(chunk)?.is_none() {
+            return Ok(false);
+        }
+        let row = self.index.get((head.number, head.version))?.map(|row| row.value());
+        Ok(row.is_none_or(|row| (row.0, row.1 as usize) != (chunk, offset)))
+    }
+
+    /// The last version that an entity was noted to have been given.
+    fn given(&self, number: u64) -> Result<u64, Fault> {
+        Ok(self.given.get(number)?.map_or(0, |row| row.value()))
     }
 
     fn one(
@@ -369,10 +396,15 @@ impl LongTermMemory {
             let ids = reader.addresses()?;
             let rows = reader.chunks.iter()?;
             for row in rows {
-                let (_, chunk) = row?;
+                let (number, chunk) = row?;
                 let mut rest = chunk.value();
                 while !rest.is_empty() {
+                    let offset = chunk.value().len() - rest.len();
                     let (snapshot, length) = match record::head(rest) {
+                        Ok(head) if reader.is_forgotten(number.value(), offset, head)? => {
+                            rest = &rest[head.length..];
+                            continue;
+                        }
                         Ok(head) => {
                             let id = ids.get(&head.number);
                             let id = id.ok_or(RecordError::NoAddress { number: head.number });
@@ -392,14 +424,60 @@ impl LongTermMemory {
         })
     }
 
-    /// The newest version of an entity; 0 when nothing is kept.
+    /// The last version that an entity may have been given; 0 when it has none.
     ///
     /// # Errors
     /// When it cannot be read.
-    pub(super) fn newest_version(&self, id: &EntityId) -> Result<u64, StoreError> {
+    pub(super) fn last_given(&self, id: &EntityId) -> Result<u64, StoreError> {
         self.read(|reader| {
             let Some(entity) = reader.entity(id)? else { return Ok(0) };
-            Ok(reader.newest(entity.number)?.map_or(0, |(version, _)| version))
+            let newest = reader.newest(entity.number)?.map_or(0, |(version, _)| version);
+            Ok(newest.max(reader.given(entity.number)?))
+        })
+    }
+
+    /// The last version that any entity which is not stored may have been given.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(super) fn given_to_others(&self) -> Result<u64, StoreError> {
+        self.read(|reader| reader.given(OF_OTHERS))
+    }
+
+    /// The entities that may have been given later versions than are stored, with the last of these.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(super) fn given_ahead(&self) -> Result<BTreeMap<EntityId, u64>, StoreError> {
+        self.read(|reader| {
+            let mut ahead = BTreeMap::new();
+            for row in reader.given.range(..OF_OTHERS)? {
+                let (number, version) = row.map(|(number, version)| (number.value(), version.value()))?;
+                if reader.newest(number)?.is_none_or(|(newest, _)| newest < version) {
+                    ahead.insert(number, version);
+                }
+            }
+            let ids = if ahead.is_empty() { BTreeMap::new() } else { reader.addresses()? };
+            Ok(ahead.into_iter().filter_map(|(number, v)| Some((ids.get(&number)?.clone(), v))).collect())
+        })
+    }
+
+    /// Whether one of these snapshots is stored.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(super) fn holds_any_of(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, StoreError> {
+        self.read(|reader| {
+            for snapshot in snapshots {
+                let Some(entity) = reader.entity(&snapshot.id)? else { continue };
+                let row = reader.index.get((entity.number, snapshot.version))?;
+                if let Some(row) = row
+                    && reader.snapshot(&snapshot.id, row.value())?.arrived_ns == snapshot.arrived_ns
+                {
+                    return Ok(true);
+                }
+            }
+            Ok(false)
         })
     }
 

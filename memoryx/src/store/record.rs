@@ -264,6 +264,11 @@ pub(super) fn times(bytes: &[u8]) -> Result<(u64, u64), RecordError> {
     Ok((referenced, arrived))
 }
 
+/// Whether a record is a removal: it has no instances.
+pub(super) fn is_removal(bytes: &[u8]) -> bool {
+    bytes.get(HEAD + 24) == Some(&0)
+}
+
 /// The blobs that a record refers to.
 pub(super) fn blobs_of(bytes: &[u8], head: Head) -> Result<Vec<Hash>, RecordError> {
     let found = std::cell::RefCell::new(Vec::new());

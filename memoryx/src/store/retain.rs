@@ -1,18 +1,23 @@
 //! Retention: what long-term memory forgets by age and size, and the joining of small chunks.
 //!
-//! The newest snapshot of each entity is kept, and so is the content of named snapshots. Followers see forgotten
-//! snapshots as a gap in the versions.
+//! The newest snapshot of each entity is kept, unless it is a removal, and so is the content of named snapshots. Followers
+//! see forgotten snapshots as a gap in the versions; a name that is forgotten counts from 1 again.
+//!
+//! The work is in proportion to what is forgotten: chunks are found by their age, what stays of one is moved once, and
+//! chunks of what was moved are written again only when half of them is forgotten. So an idle store writes nothing.
 
 use std::collections::BTreeSet;
 
-use redb::{ReadableTable, ReadableTableMetadata};
+use redb::{Durability, ReadableTable, ReadableTableMetadata};
 
 use super::error::Fault;
 use super::write::Writer;
 use super::{LongTermMemory, StoreError, record};
 
-/// Chunks per transaction.
-const MAX_BATCH: usize = 256;
+/// Chunks that are forgotten in one transaction, so that no commit waits long.
+const MAX_FORGOTTEN: usize = 8;
+/// Chunks that are joined in one transaction.
+const MAX_JOINED: usize = 256;
 /// A chunk below this many bytes is joined with others.
 const SMALL_CHUNK_BYTES: usize = 32_000;
 
@@ -32,7 +37,12 @@ pub struct Dropped {
     pub snapshots: u64,
     /// Bytes of records and blobs.
     pub bytes: u64,
+    /// Bytes above the limit that are left, because everything that may be forgotten is.
+    pub over: u64,
 }
+
+/// Entity numbers and versions that named snapshots contain.
+type Pinned = BTreeSet<(u64, u64)>;
 
 impl LongTermMemory {
     /// Removes what is older than the age, at `now_ns`, and then the oldest until the rest fits. The next
@@ -41,21 +51,26 @@ impl LongTermMemory {
     /// # Errors
     /// When the disk fails; snapshots removed before that stay removed.
     pub fn retain(&self, retention: Retention, now_ns: u64) -> Result<Dropped, StoreError> {
-        let pinned = self.pinned()?;
         let before = retention.age_ns.map_or(0, |age| now_ns.saturating_sub(age));
-        let last = self.write(|writer, _| Ok((writer.totals.next_chunk, false)))?;
         let start = self.stats()?;
-        let mut from = 0;
-        while let Some(next) = self.write(|writer, _| {
-            let next = forget_some(writer, (from, last), retention.bytes, before, &pinned)?;
-            Ok((next, true))
-        })? {
-            from = next;
+        let is_over = |bytes: u64| retention.bytes.is_some_and(|most| bytes > most);
+        let oldest = self.read(|reader| reader.oldest_chunk())?;
+        let is_due = oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes));
+        let mut left = is_due;
+        if is_due {
+            let pinned = self.pinned()?;
+            while left {
+                left = self.write_as(Durability::None, |writer, _| {
+                    Ok((writer.forget_some(&is_over, before, &pinned)?, true))
+                })?;
+            }
+            self.write(|_, _| Ok(((), true)))?;
         }
         let end = self.stats()?;
         Ok(Dropped {
             snapshots: start.snapshots.saturating_sub(end.snapshots),
             bytes: start.bytes.saturating_sub(end.bytes),
+            over: retention.bytes.map_or(0, |most| end.bytes.saturating_sub(most)),
         })
     }
 
@@ -63,83 +78,188 @@ impl LongTermMemory {
     pub(super) fn join_chunks(&self) -> Result<bool, StoreError> {
         let last = self.write(|writer, _| Ok((writer.totals.next_chunk, false)))?;
         let mut joined = false;
-        let mut from = 0;
-        loop {
-            let (next, any) = self.write(|writer, _| {
-                let (small, next) = small_chunks(writer, from, last)?;
-                if small.len() > 1 {
-                    for chunk in &small {
-                        let bytes = writer.take_chunk(*chunk)?;
-                        each_record(&bytes, |head, record| writer.move_record(record, head))?;
+        for keeps in [false, true] {
+            let mut from = Some(0);
+            while let Some(first) = from {
+                let (next, any) = self.write(|writer, _| {
+                    writer.keeps = keeps;
+                    let (small, next) = writer.small_chunks(first, last)?;
+                    let any = small.len() > 1;
+                    for chunk in small.into_iter().filter(|_| any) {
+                        writer.move_chunk(chunk)?;
                     }
-                }
-                Ok(((next, small.len() > 1), small.len() > 1))
-            })?;
-            joined |= any;
-            match next {
-                Some(next) => from = next,
-                None => return Ok(joined),
+                    Ok(((next, any), any))
+                })?;
+                joined |= any;
+                from = next;
             }
         }
+        Ok(joined)
     }
 }
 
-/// Removes snapshots in at most [`MAX_BATCH`] chunks of a range, whose end is excluded. Returns where to continue.
-fn forget_some(
-    writer: &mut Writer<'_>,
-    (from, last): (u64, u64),
-    budget: Option<u64>,
-    before: u64,
-    pinned: &BTreeSet<(u64, u64)>,
-) -> Result<Option<u64>, Fault> {
-    let rows = writer.chunks.range(from..last)?;
-    let mut numbers = Vec::new();
-    for row in rows.take(MAX_BATCH) {
-        numbers.push(row?.0.value());
+impl Writer<'_> {
+    /// Forgets what may be forgotten of the oldest chunks. Returns whether there may be more of them.
+    fn forget_some(
+        &mut self,
+        is_over: &impl Fn(u64) -> bool,
+        before: u64,
+        pinned: &Pinned,
+    ) -> Result<bool, Fault> {
+        self.keeps = true;
+        let mut oldest = Vec::with_capacity(MAX_FORGOTTEN);
+        for row in self.ages.iter()?.take(MAX_FORGOTTEN) {
+            oldest.push(row?.0.value());
+        }
+        let is_full = oldest.len() == MAX_FORGOTTEN;
+        let mut thin = BTreeSet::new();
+        for (arrived_ns, chunk) in oldest {
+            let over = is_over(self.totals.bytes);
+            if !over && arrived_ns >= before {
+                return self.thin_out(thin).map(|()| false);
+            }
+            self.ages.remove((arrived_ns, chunk))?;
+            let newest = if arrived_ns == 0 { self.newest_arrival_in(chunk)? } else { arrived_ns };
+            if !over && newest >= before {
+                self.ages.insert((newest, chunk), ())?;
+                continue;
+            }
+            for (head, record) in self.take_records(chunk)? {
+                self.forget_or_move(head, &record, pinned, &mut thin)?;
+            }
+        }
+        self.thin_out(thin).map(|()| is_full)
     }
-    for number in &numbers {
-        let over = budget.is_some_and(|most| writer.totals.bytes > most);
-        let bytes = writer.chunks.get(*number)?.map(|v| v.value().to_vec()).unwrap_or_default();
-        let mut newest_arrival = 0;
-        each_record(&bytes, |_, record| {
-            let (_, arrived) = record::times(record)?;
-            newest_arrival = newest_arrival.max(arrived);
+
+    /// Forgets a record of a chunk that was taken, or moves it if it stays. `thin`: the chunks of `kept` of which less than
+    /// half is left.
+    fn forget_or_move(
+        &mut self,
+        head: record::Head,
+        record: &[u8],
+        pinned: &Pinned,
+        thin: &mut BTreeSet<u64>,
+    ) -> Result<(), Fault> {
+        let mut versions = self.index.range((head.number, 0)..=(head.number, u64::MAX))?;
+        let newest = versions.next_back().transpose()?.map(|(key, _)| key.value().1);
+        let oldest = versions.next().transpose()?.map(|(key, _)| key.value().1);
+        drop(versions);
+        if oldest.is_some_and(|oldest| oldest < head.version) {
+            self.forget_kept_before(head, pinned, thin)?;
+        }
+        let is_pinned = pinned.contains(&(head.number, head.version));
+        if newest != Some(head.version) && !is_pinned {
+            return self.forget(record, head);
+        }
+        let is_alone = newest == Some(head.version) && !is_pinned && record::is_removal(record);
+        let is_alone =
+            is_alone && self.index.range((head.number, 0)..(head.number, head.version))?.next().is_none();
+        if is_alone && self.forget_entity(record, head)? {
+            return Ok(());
+        }
+        self.move_record(record, head)
+    }
+
+    /// Forgets the versions of an entity before one that is itself old enough, as far as they were kept as the newest.
+    fn forget_kept_before(
+        &mut self,
+        head: record::Head,
+        pinned: &Pinned,
+        thin: &mut BTreeSet<u64>,
+    ) -> Result<(), Fault> {
+        let mut older = Vec::new();
+        for row in self.index.range((head.number, 0)..(head.number, head.version))? {
+            let (key, row) = row?;
+            older.push((key.value().1, row.value()));
+        }
+        for (version, row) in older {
+            let live = self.kept.get(row.0)?.map(|live| live.value());
+            let Some(live) = live.filter(|_| !pinned.contains(&(head.number, version))) else { continue };
+            let bytes = self.record(row)?;
+            self.forget(&bytes, record::head(&bytes)?)?;
+            let live = live.saturating_sub(u64::from(row.2));
+            self.kept.insert(row.0, live)?;
+            let length = self.chunks.get(row.0)?.map_or(0, |chunk| chunk.value().len() as u64);
+            if 2 * live < length {
+                thin.insert(row.0);
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes again what is left of chunks.
+    fn thin_out(&mut self, thin: BTreeSet<u64>) -> Result<(), Fault> {
+        thin.into_iter().try_for_each(|chunk| self.move_chunk(chunk))
+    }
+
+    /// Moves the records of a chunk that are in the index to the end.
+    fn move_chunk(&mut self, chunk: u64) -> Result<(), Fault> {
+        if !self.keeps {
+            let newest = self.newest_arrival_in(chunk)?;
+            self.ages.remove((newest, chunk))?;
+            self.ages.remove((0, chunk))?;
+        }
+        self.take_records(chunk)?.into_iter().try_for_each(|(head, record)| self.move_record(&record, head))
+    }
+
+    /// Removes a chunk, and returns the records of it that are not forgotten.
+    fn take_records(&mut self, chunk: u64) -> Result<Vec<(record::Head, Vec<u8>)>, Fault> {
+        let bytes = self.take_chunk(chunk)?;
+        let (mut offset, mut records) = (0, Vec::new());
+        each_record(&bytes, |head, record| {
+            let row = self.index.get((head.number, head.version))?.map(|row| row.value());
+            if row.is_some_and(|row| (row.0, row.1 as usize) == (chunk, offset)) {
+                records.push((head, record.to_vec()));
+            }
+            offset += record.len();
             Ok(())
         })?;
-        if !over && newest_arrival >= before {
-            continue;
-        }
-        let bytes = writer.take_chunk(*number)?;
-        each_record(&bytes, |head, record| {
-            let last = writer.index.range((head.number, 0)..=(head.number, u64::MAX))?.next_back();
-            let newest = last.transpose()?.map(|(key, _)| key.value().1);
-            if newest == Some(head.version) || pinned.contains(&(head.number, head.version)) {
-                writer.move_record(record, head)
-            } else {
-                writer.forget(record, head)
-            }
-        })?;
+        Ok(records)
     }
-    Ok(numbers.last().filter(|_| numbers.len() == MAX_BATCH).map(|n| n + 1))
-}
 
-/// Up to [`MAX_BATCH`] small chunks of a range, and where to continue.
-fn small_chunks(writer: &Writer<'_>, from: u64, last: u64) -> Result<(Vec<u64>, Option<u64>), Fault> {
-    if writer.chunks.len()? == 0 {
-        return Ok((Vec::new(), None));
-    }
-    let mut small = Vec::new();
-    for row in writer.chunks.range(from..last)? {
-        let (number, bytes) = row?;
-        if bytes.value().len() < SMALL_CHUNK_BYTES {
-            small.push(number.value());
-            if small.len() == MAX_BATCH {
-                let next = number.value() + 1;
-                return Ok((small, Some(next)));
+    /// Lets retention come again to what was kept because a named snapshot contained it.
+    pub(super) fn unpin(&mut self, entries: impl Iterator<Item = (u64, u64)>) -> Result<(), Fault> {
+        for entry in entries {
+            let Some(row) = self.index.get(entry)?.map(|row| row.value()) else { continue };
+            if self.kept.get(row.0)?.is_some() {
+                self.ages.insert((0, row.0), ())?;
             }
         }
+        Ok(())
     }
-    Ok((small, None))
+
+    /// When the newest record of a chunk arrived, ns.
+    fn newest_arrival_in(&self, chunk: u64) -> Result<u64, Fault> {
+        let bytes = self.chunks.get(chunk)?;
+        let mut newest = 0;
+        if let Some(bytes) = &bytes {
+            each_record(bytes.value(), |_, record| {
+                newest = newest.max(record::times(record)?.1);
+                Ok(())
+            })?;
+        }
+        Ok(newest)
+    }
+
+    /// Up to [`MAX_JOINED`] small chunks of a range, of `kept` or not, and where to continue.
+    fn small_chunks(&self, from: u64, last: u64) -> Result<(Vec<u64>, Option<u64>), Fault> {
+        let mut small = Vec::new();
+        if self.chunks.len()? == 0 {
+            return Ok((small, None));
+        }
+        for row in self.chunks.range(from..last)? {
+            let (number, bytes) = row?;
+            let is_small = bytes.value().len() < SMALL_CHUNK_BYTES;
+            if is_small && self.kept.get(number.value())?.is_some() == self.keeps {
+                small.push(number.value());
+                if small.len() == MAX_JOINED {
+                    let next = number.value() + 1;
+                    return Ok((small, Some(next)));
+                }
+            }
+        }
+        Ok((small, None))
+    }
 }
 
 /// Passes the records of a chunk to `act`, one after the other.

@@ -79,7 +79,7 @@ fn a_second_run_goes_on_where_the_first_ended() {
         Commit::new(id.clone(), 5, BTreeMap::from([("frequency".to_owned(), Value::Float(value))]))
     };
     let run = || {
-        let backing = Consolidator::new(Arc::clone(&store), Policies::default());
+        let backing = Consolidator::new(Arc::clone(&store), Policies::default()).unwrap();
         WorkingMemory::new(Arc::new(|| 5)).with_backing(Arc::new(backing))
     };
     let first = run();
@@ -115,7 +115,7 @@ fn policies_choose() {
         (named("f"), vec![], vec![]),
     ] {
         let (_folder, _, store) = store();
-        let consolidator = Consolidator::new(Arc::clone(&store), Policies::all(policy.clone()));
+        let consolidator = Consolidator::new(Arc::clone(&store), Policies::all(policy.clone())).unwrap();
         let kept = |expected: &[u64]| {
             let found = store.query(&Query::history(Pattern::any())).unwrap();
             assert_eq!(found.iter().map(|s| s.version).collect::<Vec<_>>(), expected, "{policy:?}");
@@ -133,7 +133,7 @@ fn policies_choose() {
 #[test]
 fn a_change_is_one_after_opening_again_too() {
     let (_folder, _, store) = store();
-    let on_change = || Consolidator::new(Arc::clone(&store), Policies::all(Policy::OnChange));
+    let on_change = || Consolidator::new(Arc::clone(&store), Policies::all(Policy::OnChange)).unwrap();
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 1, 0, 7)]), Ok(1));
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 2, 0, 7)]), Ok(0));
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 3, 0, 8)]), Ok(1));
@@ -164,7 +164,7 @@ fn a_time_from_the_future_hides_nothing_that_comes_later() {
     };
     let come = come.map(one);
     let (_folder, path, store) = store();
-    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::AtMost { hz: 1.0 }));
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::AtMost { hz: 1.0 })).unwrap();
     for one in &come {
         kept.consolidate(std::slice::from_ref(one)).unwrap();
     }

@@ -107,6 +107,10 @@ fn verify_records(
                     break;
                 }
             };
+            if reader.is_forgotten(number, at, head)? {
+                at += head.length;
+                continue;
+            }
             let record = &bytes[at..at + head.length];
             let blobs: Vec<Hash> = record::blobs_of(record, head).unwrap_or_default();
             blobs.into_iter().for_each(|hash| *uses.entry(hash.to_vec()).or_default() += 1);

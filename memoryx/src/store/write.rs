@@ -3,17 +3,21 @@
 use std::sync::Arc;
 
 use indexmap::IndexMap;
-use redb::{ReadableTable, Table, WriteTransaction};
+use parking_lot::MutexGuard;
+use redb::{Durability, ReadableTable, Table, WriteTransaction};
 
 use super::error::Fault;
 use super::record::{self, Hash};
 use super::{
-    BLOB_USES, BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, META, NAMED, RecordPlace, StoreError,
+    AGES, BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED, REMOVED,
+    RecordPlace, StoreError,
 };
 use crate::entity::{EntityId, Snapshot};
 
 /// Most bytes of a chunk with several records: with its overhead it fills a page of 64 kB.
 const MAX_CHUNK_BYTES: usize = 65_000;
+/// The key in the table `given` of all entities that are not stored.
+pub(super) const OF_OTHERS: u64 = u64::MAX;
 /// Most entities in the cache.
 const MAX_CACHED: usize = 100_000;
 
@@ -69,10 +73,20 @@ pub(super) struct Writer<'t> {
     pub(super) chunks: Table<'t, u64, &'static [u8]>,
     blobs: Table<'t, &'static [u8], &'static [u8]>,
     blob_uses: Table<'t, &'static [u8], u64>,
+    pub(super) ages: Table<'t, (u64, u64), ()>,
+    pub(super) kept: Table<'t, u64, u64>,
+    removed: Table<'t, u64, &'static [u8]>,
+    given: Table<'t, u64, u64>,
     named: Table<'t, &'static str, &'static [u8]>,
     pub(super) totals: Totals,
     /// The chunk that is being filled; its number is `totals.next_chunk`.
     open: Vec<u8>,
+    /// When the newest record in it arrived, ns.
+    newest_arrival: u64,
+    /// Whether the open chunk is one of `kept`.
+    pub(super) keeps: bool,
+    /// Whether entities were forgotten.
+    forgets: bool,
     /// What this transaction has changed.
     pub(super) known: EntityCache,
 }
@@ -88,9 +102,16 @@ impl<'t> Writer<'t> {
             chunks: transaction.open_table(CHUNKS)?,
             blobs: transaction.open_table(BLOBS)?,
             blob_uses: transaction.open_table(BLOB_USES)?,
+            ages: transaction.open_table(AGES)?,
+            kept: transaction.open_table(KEPT)?,
+            removed: transaction.open_table(REMOVED)?,
+            given: transaction.open_table(GIVEN)?,
             named: transaction.open_table(NAMED)?,
             totals,
             open: Vec::with_capacity(MAX_CHUNK_BYTES),
+            newest_arrival: 0,
+            keeps: false,
+            forgets: false,
             known: EntityCache::new(),
         })
     }
@@ -173,7 +194,11 @@ impl<'t> Writer<'t> {
             self.close_chunk()?;
             self.open.extend_from_slice(&record);
         }
+        self.newest_arrival = self.newest_arrival.max(snapshot.arrived_ns);
         self.note(known.number, snapshot.version, length, snapshot.referenced_ns)?;
+        if snapshot.is_removed() {
+            self.removed.insert(known.number, record::entity_key(&snapshot.id).as_slice())?;
+        }
         for (hash, content) in blobs {
             self.use_blob(&hash, content)?;
         }
@@ -194,7 +219,8 @@ impl<'t> Writer<'t> {
     pub(super) fn move_record(&mut self, record: &[u8], head: record::Head) -> Result<(), Fault> {
         self.make_room(record.len())?;
         self.open.extend_from_slice(record);
-        let (referenced_ns, _) = record::times(record)?;
+        let (referenced_ns, arrived_ns) = record::times(record)?;
+        self.newest_arrival = self.newest_arrival.max(arrived_ns);
         self.note(head.number, head.version, record.len(), referenced_ns)
     }
 
@@ -210,15 +236,21 @@ impl<'t> Writer<'t> {
         if !self.open.is_empty() {
             let inserted = self.chunks.insert(self.totals.next_chunk, self.open.as_slice());
             inserted?;
+            if self.keeps {
+                self.kept.insert(self.totals.next_chunk, self.open.len() as u64)?;
+            } else {
+                self.ages.insert((self.newest_arrival, self.totals.next_chunk), ())?;
+            }
             self.totals.next_chunk += 1;
             self.totals.bytes += self.open.len() as u64;
             self.open.clear();
+            self.newest_arrival = 0;
         }
         Ok(())
     }
 
     /// The bytes of a record in a stored chunk, or in the open one.
-    fn record(&self, row: RecordPlace) -> Result<Vec<u8>, Fault> {
+    pub(super) fn record(&self, row: RecordPlace) -> Result<Vec<u8>, Fault> {
         let range = row.1 as usize..row.1 as usize + row.2 as usize;
         let missing = || Fault::no_record(row);
         if row.0 == self.totals.next_chunk {
@@ -255,27 +287,54 @@ impl<'t> Writer<'t> {
         Ok(())
     }
 
-    /// Stores a list under a name, or removes it. Returns whether the name existed.
-    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<bool, Fault> {
-        Ok(match list {
-            Some(list) => self.named.insert(name, list)?.is_some(),
-            None => self.named.remove(name)?.is_some(),
-        })
+    /// Removes an entity whose only record is its removal, with that record. Returns false if its key is not known.
+    pub(super) fn forget_entity(&mut self, bytes: &[u8], head: record::Head) -> Result<bool, Fault> {
+        let Some(key) = self.removed.remove(head.number)?.map(|key| key.value().to_vec()) else {
+            return Ok(false);
+        };
+        self.forget(bytes, head)?;
+        self.entities.remove(key.as_slice())?;
+        self.given.remove(head.number)?;
+        self.forgets = true;
+        Ok(true)
+    }
+
+    /// Stores a list under a name, or removes it. Returns the earlier list of that name.
+    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<Option<Vec<u8>>, Fault> {
+        let before = match list {
+            Some(list) => self.named.insert(name, list)?,
+            None => self.named.remove(name)?,
+        };
+        Ok(before.map(|list| list.value().to_vec()))
+    }
+
+    /// Notes the last version that an entity, or with `None` any entity that is not stored, may have been given.
+    pub(super) fn note_given(
+        &mut self,
+        id: Option<&EntityId>,
+        version: u64,
+        memo: &EntityCache,
+    ) -> Result<(), Fault> {
+        let number = id.map_or(Ok(OF_OTHERS), |id| self.number(id, memo))?;
+        self.given.insert(number, version)?;
+        Ok(())
     }
 
     /// Removes a chunk and returns its bytes.
     pub(super) fn take_chunk(&mut self, chunk: u64) -> Result<Vec<u8>, Fault> {
         let taken = self.chunks.remove(chunk)?;
         let bytes = taken.map(|v| v.value().to_vec()).unwrap_or_default();
+        self.kept.remove(chunk)?;
         self.totals.bytes = self.totals.bytes.saturating_sub(bytes.len() as u64);
         Ok(bytes)
     }
 
-    /// Writes the last chunk and the totals; returns the facts learned about entities.
-    pub(super) fn finish(mut self) -> Result<EntityCache, Fault> {
+    /// Writes the last chunk and the totals; returns the facts learned about entities, and whether facts about others are
+    /// no longer true.
+    pub(super) fn finish(mut self) -> Result<(EntityCache, bool), Fault> {
         self.close_chunk()?;
         self.totals.write(&mut self.meta)?;
-        Ok(self.known)
+        Ok((self.known, self.forgets))
     }
 }
 
@@ -287,7 +346,21 @@ impl LongTermMemory {
     /// [`StoreError::Version`] when another snapshot has the same version, in a file that is not shared;
     /// [`StoreError::Full`] and others when the disk fails.
     pub fn persist(&self, snapshots: &[Arc<Snapshot>]) -> Result<usize, StoreError> {
-        if snapshots.is_empty() {
+        self.persist_with(snapshots, &[])
+    }
+
+    /// As [`Self::persist`]; also notes the last versions that may have been given: of an entity, or with `None` of any
+    /// that is not stored. Not where several processes write: there a version counts once it is stored.
+    ///
+    /// # Errors
+    /// As [`Self::persist`].
+    pub(super) fn persist_with(
+        &self,
+        snapshots: &[Arc<Snapshot>],
+        given: &[(Option<&EntityId>, u64)],
+    ) -> Result<usize, StoreError> {
+        let given = if self.shared { &[] } else { given };
+        if snapshots.is_empty() && given.is_empty() {
             return Ok(0);
         }
         self.write(|writer, memo| {
@@ -295,7 +368,10 @@ impl LongTermMemory {
             for snapshot in snapshots {
                 new += usize::from(writer.add(snapshot, memo, self.shared)?);
             }
-            Ok((new, new > 0))
+            for (id, version) in given {
+                writer.note_given(*id, *version, memo)?;
+            }
+            Ok((new, new > 0 || !given.is_empty()))
         })
     }
 
@@ -304,25 +380,35 @@ impl LongTermMemory {
         &self,
         act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
     ) -> Result<T, StoreError> {
+        self.write_as(Durability::Immediate, act)
+    }
+
+    /// As [`Self::write`]; without durability, the next change that has it makes this one durable, too.
+    pub(super) fn write_as<T>(
+        &self,
+        durability: Durability,
+        act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
+    ) -> Result<T, StoreError> {
         let mut memo = self.memo.lock();
         if self.shared {
             // Others have written since.
             memo.clear();
         }
         let written = self.with(|database| {
-            let transaction = database.begin_write()?;
+            let mut transaction = database.begin_write()?;
+            transaction.set_durability(durability).map_err(|e| Fault::Damaged(e.to_string()))?;
             let mut writer = Writer::new(&transaction)?;
             let (result, changed) = act(&mut writer, &memo)?;
             if !changed {
-                return Ok((result, EntityCache::new()));
+                return Ok((result, EntityCache::new(), false));
             }
-            let known = writer.finish()?;
+            let (known, forgets) = writer.finish()?;
             transaction.commit()?;
-            Ok((result, known))
+            Ok((result, known, forgets))
         });
-        match written {
-            Ok((result, known)) => {
-                if memo.len() + known.len() > MAX_CACHED {
+        let result = match written {
+            Ok((result, known, forgets)) => {
+                if forgets || memo.len() + known.len() > MAX_CACHED {
                     memo.clear();
                 }
                 if known.len() <= MAX_CACHED {
@@ -334,6 +420,9 @@ impl LongTermMemory {
                 memo.clear();
                 Err(error)
             }
-        }
+        };
+        // Whoever changes much, part by part, lets a commit that waits come in between.
+        MutexGuard::unlock_fair(memo);
+        result
     }
 }

@@ -4,8 +4,9 @@
 //! With a backing, one thread does all this, so that no other thread waits for a disk. Without one, it takes
 //! microseconds, and whoever commits does it.
 
-use std::sync::Arc;
-use std::sync::mpsc;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
 use super::content::{Content, Usage, bytes_of, owner};
@@ -17,19 +18,23 @@ use crate::schema::check_form;
 /// Most requests that are committed together.
 const MAX_GROUP: usize = 1024;
 
+/// An arrival time so far ahead of the clock, ns, is no clock's that was set back.
+const MAX_AHEAD_NS: u64 = 3_600_000_000_000;
+
 /// Updates that are committed all or none.
 pub(super) struct Request {
     pub(super) updates: Vec<Commit>,
     pub(super) sent_ns: u64,
     /// Whether they are prior knowledge.
     pub(super) prior: bool,
-    /// Takes the result.
-    pub(super) answer: Box<dyn FnOnce(CommitResult) + Send>,
 }
+
+/// Takes the result of a request.
+pub(super) type Answer = Box<dyn FnOnce(CommitResult) + Send>;
 
 /// The thread that commits for a memory with a backing. Dropping it waits until it has answered everything.
 pub(super) struct CommittingThread {
-    requests: Option<mpsc::Sender<Request>>,
+    requests: Option<mpsc::Sender<(Request, Answer)>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -37,21 +42,23 @@ impl CommittingThread {
     /// # Errors
     /// [`MemoryError::Store`] when the system gives no more threads.
     pub(super) fn start(core: Arc<Core>) -> Result<Self, MemoryError> {
-        let (requests, waiting) = mpsc::channel::<Request>();
+        let (requests, waiting) = mpsc::channel::<(Request, Answer)>();
         // In virtual time, whoever commits waits on his own thread, so that the clock waits with him.
         let thread = std::thread::Builder::new().name("memory".into()).spawn(move || {
             while let Ok(first) = waiting.recv() {
                 let more = waiting.try_iter().take(MAX_GROUP - 1);
-                core.commit_together(std::iter::once(first).chain(more).collect());
+                let (requests, answers): (Vec<_>, Vec<_>) = std::iter::once(first).chain(more).unzip();
+                let results = core.commit_together(requests);
+                answers.into_iter().zip(results).for_each(|(answer, result)| answer(result));
             }
         });
         let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread for it: {e}") })?;
         Ok(Self { requests: Some(requests), thread: Some(thread) })
     }
 
-    pub(super) fn commit(&self, request: Request) {
-        // If the thread has ended, the request is dropped here, which its sender notices.
-        let _ = self.requests.as_ref().map(|requests| requests.send(request));
+    pub(super) fn commit(&self, request: Request, answer: Answer) {
+        // If the thread has ended, the answer is dropped here, which its receiver notices.
+        let _ = self.requests.as_ref().map(|requests| requests.send((request, answer)));
     }
 }
 
@@ -64,33 +71,71 @@ impl Drop for CommittingThread {
     }
 }
 
-impl Core {
-    /// Commits requests together, and answers each.
-    pub(super) fn commit_together(&self, requests: Vec<Request>) {
-        let mut last_arrival = self.writer.lock();
-        // Arrival times never go back, even if the clock does.
-        *last_arrival = self.now_ns().max(*last_arrival);
-        let mut next = Content::clone(&self.content());
-        let (mut group, mut taken) = (Vec::new(), Vec::with_capacity(requests.len()));
-        for Request { updates, sent_ns, prior, answer } in requests {
-            let from = group.len();
-            match self.number(updates, (sent_ns, *last_arrival), prior, &mut next, &mut group) {
-                Ok(()) => taken.push((answer, from..group.len())),
-                Err(error) => answer(Err(error)),
-            }
+/// What only whoever commits knows.
+#[derive(Default)]
+pub(super) struct WriterState {
+    /// The last arrival time, ns.
+    last_arrival: u64,
+    /// The last versions that were given to entities, where they are not in the content: an earlier process gave them.
+    pub(super) given: BTreeMap<EntityId, u64>,
+    /// The snapshots of a failed write, of which it is unknown whether the backing has them.
+    unsettled: Vec<Arc<Snapshot>>,
+}
+
+impl WriterState {
+    /// Notes an arrival time, ns, of an earlier process, unless it makes no sense at `now_ns`.
+    pub(super) fn note_arrival(&mut self, arrived_ns: u64, now_ns: u64) {
+        if arrived_ns < now_ns.saturating_add(MAX_AHEAD_NS) {
+            self.last_arrival = self.last_arrival.max(arrived_ns);
         }
-        if taken.is_empty() {
-            return;
+    }
+}
+
+impl Core {
+    /// Commits requests together. Returns the result of each.
+    pub(super) fn commit_together(&self, requests: Vec<Request>) -> Vec<CommitResult> {
+        let mut writer = self.writer.lock();
+        if let Err(error) = self.settle(&mut writer) {
+            return requests.iter().map(|_| Err(error.clone())).collect();
+        }
+        // Arrival times tell the order of commits, whatever the clock does.
+        writer.last_arrival = self.now_ns().max(writer.last_arrival.saturating_add(1));
+        let mut next = Content::clone(&self.content());
+        let mut group = Vec::new();
+        let number = |request| {
+            let from = group.len();
+            self.number(request, &writer, &mut next, &mut group).map(|()| from..group.len())
+        };
+        let numbered: Vec<_> = requests.into_iter().map(number).collect();
+        if numbered.iter().all(Result::is_err) {
+            return numbered.into_iter().map(|refused| refused.map(|_| Vec::new())).collect();
         }
         let stored = self.backing.as_ref().filter(|_| !group.is_empty()).map_or(Ok(()), |b| b.take(&group));
         if stored.is_ok() {
             self.publish(next, &group);
+        } else {
+            writer.unsettled.clone_from(&group);
+            // If that is not possible now, the next commit does it.
+            let _ = self.settle(&mut writer);
         }
-        drop(last_arrival);
-        for (answer, range) in taken {
-            let versions = group.get(range).unwrap_or_default().iter().map(|s| s.version).collect();
-            answer(stored.clone().map(|()| versions));
+        let versions = |range: Range<usize>| {
+            stored.clone().map(|()| group.get(range).unwrap_or_default().iter().map(|s| s.version).collect())
+        };
+        numbered.into_iter().map(|range| range.and_then(versions)).collect()
+    }
+
+    /// Takes over the snapshots of a failed write if the backing has them after all, so that both agree.
+    fn settle(&self, writer: &mut WriterState) -> Result<(), MemoryError> {
+        let Some(backing) = self.backing.as_ref().filter(|_| !writer.unsettled.is_empty()) else {
+            return Ok(());
+        };
+        if backing.holds_any(&writer.unsettled)? {
+            let mut next = Content::clone(&self.content());
+            writer.unsettled.iter().for_each(|snapshot| next.put_in(snapshot, self.limits.history));
+            self.publish(next, &writer.unsettled);
         }
+        writer.unsettled.clear();
+        Ok(())
     }
 
     /// Makes content visible, and sends its new snapshots to subscribers in the same order.
@@ -106,17 +151,17 @@ impl Core {
     /// Checks updates, and adds numbered snapshots of them to `next` and `group`, which are unchanged after an error.
     fn number(
         &self,
-        updates: Vec<Commit>,
-        times: (u64, u64),
-        prior: bool,
+        request: Request,
+        writer: &WriterState,
         next: &mut Content,
         group: &mut Vec<Arc<Snapshot>>,
     ) -> Result<(), MemoryError> {
+        let Request { updates, sent_ns, prior } = request;
         let from = group.len();
         // A single update changes nothing when it is refused.
         let before = (updates.len() > 1).then(|| next.clone());
         for update in updates {
-            match self.number_one(update, times, prior, next) {
+            match self.number_one(update, sent_ns, prior, writer, next) {
                 Ok(snapshot) => {
                     next.put_in(&snapshot, self.limits.history);
                     group.push(snapshot);
@@ -134,21 +179,23 @@ impl Core {
     fn number_one(
         &self,
         update: Commit,
-        (sent_ns, arrived_ns): (u64, u64),
+        sent_ns: u64,
         prior: bool,
+        writer: &WriterState,
         next: &Content,
     ) -> Result<Arc<Snapshot>, MemoryError> {
         if !prior && next.is_read_only(&update.id) {
             return Err(MemoryError::ReadOnly { id: update.id.to_string() });
         }
         self.check(&update.id, &update.instances)?;
-        self.check_time(&update, arrived_ns)?;
+        self.check_time(&update, writer.last_arrival)?;
         let newest = next.newest(&update.id);
         let (version, is_gone) = match newest {
             Some(newest) => (newest.version, newest.is_removed()),
             None => (self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id))?, true),
         };
         expect(&update, if is_gone { 0 } else { version })?;
+        let version = writer.given.get(&update.id).map_or(version, |given| version.max(*given));
         let owner = Some(owner(&update.id)).filter(|_| self.limits.shares > 1 && !prior);
         self.check_room(next, &update.id, &update.instances, newest.is_none(), owner)?;
         Ok(Arc::new(Snapshot {
@@ -156,7 +203,7 @@ impl Core {
             version: version.saturating_add(1),
             referenced_ns: update.referenced_ns,
             sent_ns,
-            arrived_ns,
+            arrived_ns: writer.last_arrival,
             instances: update.instances,
         }))
     }
@@ -195,10 +242,10 @@ impl Core {
         if instances.is_empty() && !is_new {
             return Ok(());
         }
-        let whole = Usage { entities: self.limits.entities, bytes: self.limits.bytes };
+        let limit = |entities, bytes| Usage { entities, bytes, ..Usage::default() };
+        let whole = limit(self.limits.entities, self.limits.bytes);
         let shares = self.limits.shares;
-        let share =
-            Usage { entities: whole.entities / shares as usize, bytes: whole.bytes / u64::from(shares) };
+        let share = limit(whole.entities / shares as usize, whole.bytes / u64::from(shares));
         let of_owner = owner.map(|owner| (held.usage(owner), share));
         let bytes = bytes_of(id, instances);
         for (taken, most) in std::iter::once((held.all(), whole)).chain(of_owner) {

@@ -33,6 +33,8 @@ pub(super) struct Content {
     all: Usage,
     /// What each owner takes.
     usage: OrdMap<Arc<str>, Usage>,
+    /// When the last of its snapshots arrived, ns.
+    last_arrival: u64,
     /// The removed entities by arrival time, ns.
     removed: OrdSet<(u64, EntityId)>,
 }
@@ -50,18 +52,23 @@ struct Segment {
 /// The snapshots of one entity, the newest last; never empty.
 type History = Arc<[Arc<Snapshot>]>;
 
-/// A part of a memory's capacity.
+/// A part of a memory's capacity, and how many snapshots were inserted into it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Usage {
     pub(super) entities: usize,
     pub(super) bytes: u64,
+    pub(super) updates: u64,
 }
 
 impl Add for Usage {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        Self { entities: self.entities + other.entities, bytes: self.bytes + other.bytes }
+        Self {
+            entities: self.entities + other.entities,
+            bytes: self.bytes + other.bytes,
+            updates: self.updates + other.updates,
+        }
     }
 }
 
@@ -72,6 +79,7 @@ impl Sub for Usage {
         Self {
             entities: self.entities.saturating_sub(other.entities),
             bytes: self.bytes.saturating_sub(other.bytes),
+            updates: self.updates.saturating_sub(other.updates),
         }
     }
 }
@@ -112,6 +120,16 @@ impl Content {
     /// What an owner's provider segments take.
     pub(super) fn usage(&self, owner: &str) -> Usage {
         self.usage.get(owner).copied().unwrap_or_default()
+    }
+
+    /// When the last of its snapshots arrived, ns.
+    pub(super) fn last_arrival(&self) -> u64 {
+        self.last_arrival
+    }
+
+    /// What each owner takes.
+    pub(super) fn owners(&self) -> impl Iterator<Item = (&str, Usage)> {
+        self.usage.iter().map(|(owner, usage)| (&**owner, *usage))
     }
 
     fn history(&self, id: &EntityId) -> Option<&History> {
@@ -180,8 +198,9 @@ impl Content {
         let Some(segment) = self.segments.get_mut(id.segment()) else { return };
         let held = segment.entities.get(id).cloned().unwrap_or_default();
         let (dropped, stays) = held.split_at((held.len() + 1).saturating_sub(keep));
-        let freed = Usage { entities: 0, bytes: dropped.iter().map(|snapshot| snapshot.bytes()).sum() };
-        let more = Usage { entities: usize::from(held.is_empty()), bytes: snapshot.bytes() };
+        let freed =
+            Usage { bytes: dropped.iter().map(|snapshot| snapshot.bytes()).sum(), ..Usage::default() };
+        let more = Usage { entities: usize::from(held.is_empty()), bytes: snapshot.bytes(), updates: 1 };
         if let Some(before) = held.last().filter(|before| before.is_removed()) {
             self.removed.remove(&(before.arrived_ns, id.clone()));
         }
@@ -191,6 +210,7 @@ impl Content {
         let history = stays.iter().chain(std::iter::once(snapshot)).cloned().collect();
         segment.entities.insert(id.clone(), history);
         segment.note_arrival(snapshot);
+        self.last_arrival = self.last_arrival.max(snapshot.arrived_ns);
         self.count(id, more, freed);
         for _ in 0..FORGOTTEN_PER_SNAPSHOT {
             self.forget_removed(snapshot.arrived_ns);
@@ -200,7 +220,7 @@ impl Content {
     fn count(&mut self, id: &EntityId, more: Usage, less: Usage) {
         self.all = self.all + more - less;
         let usage = self.usage(owner(id)) + more - less;
-        if usage == Usage::default() {
+        if usage.entities == 0 {
             self.usage.remove(owner(id));
         } else if let Some(known) = self.usage.get_mut(owner(id)) {
             *known = usage;
@@ -226,7 +246,7 @@ impl Content {
             self.segments.remove(id.segment());
         }
         let bytes = history.iter().flat_map(|history| history.iter()).map(|snapshot| snapshot.bytes()).sum();
-        self.count(&id, Usage::default(), Usage { entities: 1, bytes });
+        self.count(&id, Usage::default(), Usage { entities: 1, bytes, updates: 0 });
     }
 }
 

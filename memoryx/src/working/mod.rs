@@ -18,18 +18,19 @@ use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
 
+use crate::changes::Changes;
 use crate::checked_query::Answer;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
-use crate::query::Query;
+use crate::query::{Pattern, Query};
 use crate::schema::{SegmentSchema, core_segments};
 
 mod committing;
 mod content;
 mod merged_view;
 
-use committing::{CommittingThread, Request};
+use committing::{CommittingThread, Request, WriterState};
 use content::Content;
 use merged_view::MergedView;
 
@@ -76,7 +77,7 @@ impl MemoryLimits {
 
 /// The storage behind a working memory, which is called before a commit is acknowledged, by the thread that commits.
 pub trait Backing: Send + Sync {
-    /// The newest version ever assigned to an entity that is not in working memory; 0 if there is none.
+    /// The last version that an entity, which is not in working memory, may have been given; 0 if there is none.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when it cannot be read.
@@ -86,8 +87,15 @@ pub trait Backing: Send + Sync {
     /// write to disk.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when they cannot be stored; the commit is then refused.
+    /// [`MemoryError::Store`] when they cannot be stored, or it is unknown whether they are; the commit is then refused,
+    /// and [`Self::holds_any`] is called before the next one.
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError>;
+
+    /// Whether any of the snapshots is stored that a failed [`Self::take`] was given: a failed write may be complete.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when it cannot be read.
+    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError>;
 
     /// Its content, if that can be queried.
     fn archive(&self) -> Option<&dyn Archive> {
@@ -133,8 +141,8 @@ struct Core {
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
     changes: broadcast::Sender<Arc<Snapshot>>,
-    /// Locked by whoever commits, also during the backing's write; the last arrival time, ns.
-    writer: Mutex<u64>,
+    /// Locked by whoever commits, also during the backing's write.
+    writer: Mutex<WriterState>,
     /// The present content. The lock is held only while the pointer is copied or replaced.
     content: RwLock<Arc<Content>>,
 }
@@ -162,7 +170,7 @@ impl WorkingMemory {
             schemas: core_segments(),
             backing: None,
             changes: broadcast::channel(limits.backlog).0,
-            writer: Mutex::new(0),
+            writer: Mutex::default(),
             content: RwLock::default(),
         };
         Self { core: Arc::new(core), part: merged_view::MAX_PART, thread: OnceLock::new() }
@@ -215,6 +223,26 @@ impl WorkingMemory {
         self.core.content().all().bytes
     }
 
+    /// What each owner of provider segments takes: `OWNER/entities`, `OWNER/bytes`, and `OWNER/updates`, which is how many
+    /// snapshots were inserted so far.
+    pub fn usage(&self) -> BTreeMap<String, u64> {
+        let of_owner = |(owner, usage): (&str, content::Usage)| {
+            [("entities", usage.entities as u64), ("bytes", usage.bytes), ("updates", usage.updates)]
+                .map(|(what, count)| (format!("{owner}/{what}"), count))
+        };
+        self.core.content().owners().flat_map(of_owner).collect()
+    }
+
+    /// When its last change arrived, ns.
+    pub(crate) fn last_arrival_ns(&self) -> u64 {
+        self.core.content().last_arrival()
+    }
+
+    /// How many snapshots were inserted so far.
+    pub fn updates(&self) -> u64 {
+        self.core.content().all().updates
+    }
+
     /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -246,7 +274,7 @@ impl WorkingMemory {
     ) -> impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<> {
         let (sender, answered) = oneshot::channel();
         let answer = Box::new(|result| drop(sender.send(result)));
-        self.request(Request { updates, sent_ns, prior: false, answer });
+        self.request(Request { updates, sent_ns, prior: false }, answer);
         async { answered.await.unwrap_or_else(|_| Err(ended())) }
     }
 
@@ -270,19 +298,22 @@ impl WorkingMemory {
     }
 
     fn commit_waiting(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
+        let request = Request { updates, sent_ns, prior };
+        if self.core.backing.is_none() {
+            return self.core.commit_together(vec![request]).pop().unwrap_or_else(|| Err(ended()));
+        }
         let (sender, answered) = mpsc::sync_channel(1);
-        let answer = Box::new(move |result| drop(sender.send(result)));
-        self.request(Request { updates, sent_ns, prior, answer });
+        self.request(request, Box::new(move |result| drop(sender.send(result))));
         answered.recv().unwrap_or_else(|_| Err(ended()))
     }
 
-    fn request(&self, request: Request) {
+    fn request(&self, request: Request, answer: committing::Answer) {
         if self.core.backing.is_none() {
-            return self.core.commit_together(vec![request]);
+            return answer(self.core.commit_together(vec![request]).pop().unwrap_or_else(|| Err(ended())));
         }
         match self.thread.get_or_init(|| CommittingThread::start(Arc::clone(&self.core))) {
-            Ok(thread) => thread.commit(request),
-            Err(error) => (request.answer)(Err(error.clone())),
+            Ok(thread) => thread.commit(request, answer),
+            Err(error) => answer(Err(error.clone())),
         }
     }
 
@@ -299,7 +330,8 @@ impl WorkingMemory {
     /// newer version stay; invalid snapshots are left out, and remain in the store only. Returns how many were
     /// inserted, and why the first one was left out. The backing is not called, because it is the source.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
-        let _alone = self.core.writer.lock();
+        let mut writer = self.core.writer.lock();
+        let now_ns = self.now_ns();
         let mut next = Content::clone(&self.core.content());
         let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
         for snapshot in snapshots {
@@ -311,6 +343,7 @@ impl WorkingMemory {
             match self.check_kept(&snapshot).and_then(|()| room()) {
                 Ok(()) => {
                     next.put_in(&snapshot, self.core.limits.history);
+                    writer.note_arrival(snapshot.arrived_ns, now_ns);
                     fitting.push(snapshot);
                 }
                 Err(error) => refused = refused.or(Some(error)),
@@ -318,6 +351,11 @@ impl WorkingMemory {
         }
         self.core.publish(next, &fitting);
         (fitting.len(), refused)
+    }
+
+    /// Counts the next versions of these entities from later ones than it holds.
+    pub(crate) fn count_from(&self, given: BTreeMap<EntityId, u64>) {
+        self.core.writer.lock().given.extend(given);
     }
 
     /// [`Memory::latest`] without async.
@@ -355,6 +393,13 @@ impl WorkingMemory {
     }
 }
 
+impl WorkingMemory {
+    /// [`Memory::subscribe`] without async.
+    pub fn changes(&self, pattern: &Pattern) -> Changes {
+        Changes::here(pattern.clone(), self.core.changes.subscribe())
+    }
+}
+
 fn ended() -> MemoryError {
     MemoryError::Store { what: "the thread that commits has ended".into() }
 }
@@ -379,8 +424,8 @@ impl Memory for WorkingMemory {
         self.query_now(query)
     }
 
-    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
-        self.core.changes.subscribe()
+    async fn subscribe(&self, pattern: &Pattern) -> Result<Changes, MemoryError> {
+        Ok(self.changes(pattern))
     }
 }
 

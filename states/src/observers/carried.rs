@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use armarium_memoryx::Pattern;
 use tokio::sync::broadcast::error::RecvError;
 
 use crate::equipment::Equipment;
@@ -13,7 +14,9 @@ const PERIOD: Duration = Duration::from_millis(20);
 pub(super) async fn observe(equipment: Equipment) {
     let hands = OwnHands(equipment.clone());
     loop {
-        let mut changes = equipment.memory.subscribe();
+        let Ok(mut changes) = equipment.memory.subscribe(&Pattern::any()).await else {
+            return tracing::warn!("where things are carried is not written: memory cannot be followed");
+        };
         match carry_on(&equipment, &hands).await {
             Ok(false) => {}
             Ok(true) => {

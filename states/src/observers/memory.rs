@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_memoryx::{Clock, EntityId, Memory, MemoryError, Pattern, Query, Snapshot, pages};
+use armarium_memoryx::{Changes, Clock, EntityId, Memory, MemoryError, Pattern, Query, Snapshot, pages};
 use armarium_runtime::channels::{Channels, ObserveError, ObserveMemory};
 use armarium_runtime::observed::{MAX_MATCHES, MemoryPattern, ObservedPattern, match_of};
 use armarium_values::transforms::Transforms;
@@ -16,7 +16,6 @@ use armarium_values::{Frame, FrameChange, Value};
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use parking_lot::RwLock;
-use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::task::JoinSet;
 
@@ -66,7 +65,7 @@ impl ObserveMemory for OwnMemory {
             let mut tasks = JoinSet::new();
             for observed in patterns {
                 // What changes while the memory is read comes after it.
-                let changes = own.memory.subscribe();
+                let changes = own.memory.subscribe(&Pattern::any()).await.map_err(failed)?;
                 let mut matches = Matches::of(observed, &own);
                 matches.read().await.map_err(failed)?;
                 matches.publish(&channels);
@@ -113,7 +112,7 @@ impl Matches {
     }
 
     /// Publishes each change, until the memory closes.
-    async fn follow(mut self, mut changes: broadcast::Receiver<Arc<Snapshot>>, channels: Channels) {
+    async fn follow(mut self, mut changes: Changes, channels: Channels) {
         loop {
             let mut change = changes.recv().await.map_err(|error| match error {
                 RecvError::Lagged(missed) => TryRecvError::Lagged(missed),

@@ -1,7 +1,7 @@
 //! What memory knows of places, such as a table, for the robot's guard: its bodies keep their distance from them. And where the
 //! robot, other agents and those places stand, for the frames.
 
-use armarium_memoryx::{Snapshot, WORLD};
+use armarium_memoryx::{Pattern, Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};
@@ -17,7 +17,9 @@ const PLACES: &str = "EnvironmentModels";
 
 /// Passes places in memory on to the robot, and the pose of its root frame on to the frames, now and whenever they change.
 pub(super) async fn observe(equipment: Equipment) {
-    let mut updates = equipment.memory.subscribe();
+    let Ok(mut updates) = equipment.memory.subscribe(&Pattern::any()).await else {
+        return tracing::warn!("the places in memory are not known to the guard: it cannot be followed");
+    };
     let mut known: Option<Vec<KnownBox>> = None;
     loop {
         let links = equipment.robot.model().links();

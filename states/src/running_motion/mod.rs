@@ -13,12 +13,13 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-use armarium_memoryx::{EntityId, Memory, MemoryError, Snapshot};
+use armarium_memoryx::{Changes, EntityId, Memory, MemoryError, Pattern, Snapshot};
 use armarium_motion::{DmpState, Motion, MotionEdit, MotionError, PeriodicDmp, SurfaceCorrection};
 use armarium_runtime::skill::Failure;
 use nalgebra::Isometry3;
 use parking_lot::Mutex;
-use tokio::sync::{Notify, broadcast};
+use tokio::sync::Notify;
+use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -76,7 +77,7 @@ impl RunningMotions {
     /// When another skill runs the motion, or it is not in memory.
     pub(crate) async fn own(&self, memory: &Arc<dyn Memory>, id: &EntityId) -> Result<MotionOwner, Failure> {
         // Subscribed before reading, so that no version is missed in between.
-        let updates = memory.subscribe();
+        let updates = memory.subscribe(&Pattern::entity(id)).await.map_err(failed)?;
         let (motion, version) = motions::load(&**memory, id).await?;
         let dmp = motion.primitive().clone();
         let state = SharedState {
@@ -290,23 +291,18 @@ struct Recorder {
 impl Recorder {
     /// Processes memory updates and edits until it is stopped. It locks the motion only while it reads or writes
     /// it.
-    async fn follow(
-        mut self,
-        mut updates: broadcast::Receiver<Arc<Snapshot>>,
-        edited: Arc<Notify>,
-        stop: CancellationToken,
-    ) -> Self {
+    async fn follow(mut self, mut updates: Changes, edited: Arc<Notify>, stop: CancellationToken) -> Self {
         loop {
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return self,
                 update = updates.recv() => match update {
                     Ok(snapshot) => self.take(&snapshot),
-                    Err(broadcast::error::RecvError::Lagged(_)) => {
+                    Err(RecvError::Lagged(_)) => {
                         let caught_up = self.catch_up().await;
                         self.log(caught_up);
                     }
-                    Err(broadcast::error::RecvError::Closed) => {
+                    Err(RecvError::Closed) => {
                         stop.cancelled().await;
                         return self;
                     }
