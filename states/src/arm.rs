@@ -12,7 +12,7 @@ use armarium_robot::{
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3, Vector6};
 use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
@@ -118,6 +118,15 @@ pub(crate) fn force_at(sensor: usize, sample: &Sensed) -> Vector3<f64> {
     sample.wrenches.get(sensor).map_or_else(Vector3::zeros, |felt| felt.external.force)
 }
 
+/// The compensated wrench that a wrench sensor feels: force, N, and torque about the TCP, N m, root frame.
+fn wrench_at(sensor: usize, sample: &Sensed) -> Vector6<f64> {
+    let felt = sample.wrenches.get(sensor).map(|felt| felt.external).unwrap_or_default();
+    let mut wrench = Vector6::zeros();
+    wrench.fixed_rows_mut::<3>(0).copy_from(&felt.force);
+    wrench.fixed_rows_mut::<3>(3).copy_from(&felt.torque);
+    wrench
+}
+
 /// Where an arm works, with the platform where it is at the positions `now` of all joints: the pose of its TCP in the posture in
 /// which it is ready (root from TCP).
 pub(crate) fn workspace(model: &Model, arm: &Limb, now: &[f64]) -> Result<Isometry3<f64>, Failure> {
@@ -215,6 +224,11 @@ impl LeasedArm {
         Ok(force_at(sensor_of(&self.limb)?, sample))
     }
 
+    /// The compensated wrench on its hand at a sample: force, N, and torque about the TCP, N m, root frame.
+    pub(crate) fn wrench(&self, sample: &Sensed) -> Result<Vector6<f64>, Failure> {
+        Ok(wrench_at(sensor_of(&self.limb)?, sample))
+    }
+
     /// `root_from_tcp` at a sample.
     pub(crate) fn tcp(&self, sample: &Sensed) -> Isometry3<f64> {
         self.model.link_pose(&sample.position, self.tcp)
@@ -242,15 +256,16 @@ impl LeasedArm {
         Ok(position.norm())
     }
 
-    /// Moves the TCP with a twist in the root frame: m/s, rad/s.
+    /// Moves the TCP with a twist in the root frame: m/s, rad/s. Returns the twist that its joints can follow.
     pub(crate) fn twist(
         &mut self,
         sample: &Sensed,
         linear: Vector3<f64>,
         angular: Vector3<f64>,
-    ) -> Result<(), Failure> {
+    ) -> Result<Twist, Failure> {
         let step = self.ik.step(&sample.position, &Twist { linear, angular }, Some(&self.posture));
-        self.leases.command(step.velocities)
+        self.leases.command(step.velocities)?;
+        Ok(step.twist)
     }
 
     /// Moves the joints with which it reaches, rad/s (m/s), in their order.
@@ -260,7 +275,12 @@ impl LeasedArm {
 
     /// Holds the arm still.
     pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
-        self.twist(sample, Vector3::zeros(), Vector3::zeros())
+        self.twist(sample, Vector3::zeros(), Vector3::zeros()).map(|_| ())
+    }
+
+    /// Holds its joints still, and with them what the null space would move.
+    pub(crate) fn stand(&self) -> Result<(), Failure> {
+        self.command(&vec![0.0; self.joints().len()])
     }
 }
 

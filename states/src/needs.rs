@@ -21,8 +21,15 @@ const HAND: &[&str] = &[
     "AttachObject",
     "CalibrateHandEye",
 ];
-const WRENCH: &[&str] =
-    &["Tare", "WeighHand", "VerifyGrasp", "ForceAdaptation", "ExecuteMotion", "ForceCoaching"];
+const WRENCH: &[&str] = &[
+    "Tare",
+    "WeighHand",
+    "VerifyGrasp",
+    "ForceAdaptation",
+    "ExecuteMotion",
+    "ForceCoaching",
+    "ForceGuiding",
+];
 const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose"];
 const CAMERAS: &[&str] = &[
     "LocateObject",

@@ -6,6 +6,7 @@ mod close_hand;
 mod execute_motion;
 mod force_adaptation;
 mod force_coaching;
+mod force_guiding;
 mod imitate_motion;
 mod keep_motion;
 mod locate_object;
@@ -62,6 +63,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         force_adaptation::skill(equipment),
         execute_motion::skill(equipment),
         force_coaching::skill(equipment),
+        force_guiding::skill(equipment),
         vision_coaching::skill(equipment),
         watch_coach::skill(equipment),
     ]

@@ -1,0 +1,57 @@
+//! A person leads the hand: with little force, and the hand stands when it is shoved, left alone, or when its sensor fails.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use std::sync::Arc;
+
+use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
+
+/// A run of the shipped chart in a shipped world.
+fn guided(world: &str, seed: u64) -> RunEnded {
+    let folder = tempfile::tempdir().unwrap();
+    let charts = armarium_tests::repository::root().join("statecharts");
+    let config = RunConfig {
+        world: Some(charts.join(world)),
+        seed,
+        report: folder.path().join("report"),
+        store: folder.path().join("memory.redb"),
+        ..RunConfig::new(&charts.join("guide.yaml"))
+    };
+    let console: Arc<dyn Console> = Arc::new(Silent);
+    run(&config, &console).unwrap()
+}
+
+#[test]
+fn a_hand_is_led_with_little_force_to_where_the_person_wants_it() {
+    let ended = guided("guide.world.yaml", 3);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let led = &ended.report["guiding"]["leads"][0];
+    let figure = |key: &str| led[key].as_f64().unwrap();
+    assert!(figure("way_m") > 0.4, "{led}");
+    assert!(figure("mean_n") < 10.0 && figure("peak_n") < 20.0 && figure("behind_m") < 0.04, "{led}");
+    // Who is felt by the skill is the person.
+    let way = ended.result.outputs["way"].as_f64().unwrap();
+    assert!((way / figure("way_m") - 1.0).abs() < 0.1, "{way} {led}");
+}
+
+#[test]
+fn a_shove_is_given_way_to_and_the_hand_can_be_led_after_it() {
+    let ended = guided("guide_shove.world.yaml", 5);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let shove = &ended.report["guiding"]["pushes"][0];
+    assert!(
+        shove["gave_m"].as_f64().unwrap() < 0.05 && shove["stood_after_s"].as_f64().unwrap() < 0.2,
+        "{shove}"
+    );
+    assert_eq!(ended.report["guiding"]["leads"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn a_frozen_sensor_ends_it_with_a_reason_and_the_arm_stands() {
+    let ended = guided("guide_frozen.world.yaml", 2);
+    assert_eq!(ended.result.outcome, "failure");
+    let reason = ended.result.reason.unwrap_or_default();
+    assert!(reason.contains("has not changed for 100 ms"), "{reason}");
+    let stood = ended.report["guiding"]["frozen_stood_after_s"].as_f64();
+    assert!(stood.is_some_and(|s| s < 0.25), "{stood:?}");
+}
