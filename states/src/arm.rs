@@ -151,8 +151,18 @@ impl ArmLeases {
         arm: &Limb,
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
+        Self::take_with(equipment, context, arm, (&arm.helped_by, targets)).await
+    }
+
+    /// The same with these helpers.
+    async fn take_with(
+        equipment: &Equipment,
+        context: &SkillContext,
+        arm: &Limb,
+        (helpers, targets): (&[String], &[Isometry3<f64>]),
+    ) -> Result<Self, Failure> {
         let touches = at_hand(equipment, arm, targets).await?;
-        let mut limbs: Vec<&str> = arm.helped_by.iter().chain([&arm.name]).map(String::as_str).collect();
+        let mut limbs: Vec<&str> = helpers.iter().chain([&arm.name]).map(String::as_str).collect();
         let lease = loop {
             match try_lease(equipment, context, &limbs, &touches) {
                 Err(LeaseError::Taken { limb, .. }) if limb != arm.name => limbs.retain(|name| *name != limb),
@@ -195,7 +205,16 @@ impl LeasedArm {
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
         let limb = chosen(equipment, context)?;
-        let leases = ArmLeases::take(equipment, context, limb, targets).await?;
+        Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, targets).await?)
+    }
+
+    /// Leases the arm that the input names, without what helps it.
+    pub(crate) async fn take_alone(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let limb = chosen(equipment, context)?;
+        Self::with(equipment, limb, ArmLeases::take_with(equipment, context, limb, (&[], &[])).await?)
+    }
+
+    fn with(equipment: &Equipment, limb: &Limb, leases: ArmLeases) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
         let tcp = tcp_of(limb)?;
         let posture = leases.joints.iter().map(|&j| model.ready(&limb.name)[j]).collect();

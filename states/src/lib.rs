@@ -18,6 +18,7 @@ mod hand_eye;
 mod head;
 mod held;
 mod inputs;
+mod led;
 mod motions;
 mod needs;
 pub mod observers;

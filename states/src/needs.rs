@@ -11,7 +11,7 @@ pub struct Lack {
     pub skills: &'static [&'static str],
 }
 
-const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion"];
+const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion", "PlayMotion"];
 const HAND: &[&str] = &[
     "OpenHand",
     "CloseHand",

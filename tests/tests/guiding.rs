@@ -6,8 +6,13 @@ use std::sync::Arc;
 
 use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
 
-/// A run of the shipped chart in a shipped world.
+/// A run of `guide.yaml` in a shipped world.
 fn guided(world: &str, seed: u64) -> RunEnded {
+    ended("guide.yaml", world, seed)
+}
+
+/// A run of a shipped chart in a shipped world.
+fn ended(chart: &str, world: &str, seed: u64) -> RunEnded {
     let folder = tempfile::tempdir().unwrap();
     let charts = armarium_tests::repository::root().join("statecharts");
     let config = RunConfig {
@@ -15,7 +20,7 @@ fn guided(world: &str, seed: u64) -> RunEnded {
         seed,
         report: folder.path().join("report"),
         store: folder.path().join("memory.redb"),
-        ..RunConfig::new(&charts.join("guide.yaml"))
+        ..RunConfig::new(charts.join(chart))
     };
     let console: Arc<dyn Console> = Arc::new(Silent);
     run(&config, &console).unwrap()
@@ -54,4 +59,27 @@ fn a_frozen_sensor_ends_it_with_a_reason_and_the_arm_stands() {
     assert!(reason.contains("has not changed for 100 ms"), "{reason}");
     let stood = ended.report["guiding"]["frozen_stood_after_s"].as_f64();
     assert!(stood.is_some_and(|s| s < 0.25), "{stood:?}");
+}
+
+#[test]
+fn what_was_led_is_kept_and_played_again() {
+    for world in ["teach.world.yaml", "teach_rhythm.world.yaml"] {
+        let ended = ended("teach.yaml", world, 1);
+        assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+        let off = ended.report["guiding"]["played_rms_m"].as_f64();
+        assert!(off.is_some_and(|off| off < 0.01), "{world}: {off:?}");
+    }
+}
+
+#[test]
+fn both_hands_are_led_at_once() {
+    let ended = ended("guide_both.yaml", "guide_both.world.yaml", 1);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let leads = ended.report["guiding"]["leads"].as_array().unwrap();
+    let arms: Vec<_> = leads.iter().map(|led| led["arm"].as_u64()).collect();
+    assert_eq!(arms.len(), 2, "{leads:?}");
+    assert_ne!(arms[0], arms[1]);
+    for led in leads {
+        assert!(led["mean_n"].as_f64().unwrap() < 10.0 && led["way_m"].as_f64().unwrap() > 0.1, "{led}");
+    }
 }

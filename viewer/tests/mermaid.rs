@@ -66,9 +66,11 @@ fn mermaid_draws_every_chart_and_shows_every_text_as_it_was() {
         "await_cup",
         "grasp_object",
         "guide",
+        "guide_both",
         "learn_wiping",
         "reach_told",
         "share_scene",
+        "teach",
         "watch_table",
         "wiping",
     ];

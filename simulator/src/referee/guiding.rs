@@ -83,6 +83,9 @@ fn measure(run: &Run<'_>) -> Option<Value> {
         figures["rest_s"] = seconds(end.stamp_ns - begin.stamp_ns).into();
         figures["rest_drift_m"] = off.into();
     }
+    if let Some(off) = played(run) {
+        figures["played_rms_m"] = off.into();
+    }
     if let Some(frozen) = frozen_ns(run) {
         figures["frozen_stood_after_s"] = stands_after(run.log, frozen).into();
     }
@@ -128,6 +131,37 @@ fn lead(led: &[(u64, LedHand)]) -> Option<LeadFigures> {
         speed_m_s: per(way),
         behind_m: end.behind.norm(),
     })
+}
+
+/// The distance of the path that was played from the one that was led last, RMS, minimised over the time between them, m. Both
+/// are those of the true TCP.
+fn played(run: &Run<'_>) -> Option<f64> {
+    let from = run.time_of(|mark| *mark == Milestone::PlayStarted)?;
+    let to = run.time_of(|mark| *mark == Milestone::PlayEnded)?;
+    let all = leads(run.log);
+    let led = all.last()?;
+    let moving = |pair: &[(u64, LedHand)]| {
+        let step = (pair[1].1.tcp.translation.vector - pair[0].1.tcp.translation.vector).norm();
+        step > MOVING * seconds(pair[1].0 - pair[0].0)
+    };
+    let led: Vec<Vector3<f64>> = led
+        .windows(2)
+        .filter(|pair| moving(pair))
+        .step_by(STRIDE)
+        .map(|pair| pair[0].1.tcp.translation.vector)
+        .collect();
+    let records = run.log.between(from, to).iter().step_by(STRIDE);
+    let played: Vec<Vector3<f64>> = records.map(|record| record.tcp.translation.vector).collect();
+    if led.is_empty() || played.is_empty() {
+        return None;
+    }
+    let (least, most) = (-(played.len() as i64), led.len() as i64);
+    let off = |shift: i64| {
+        let at = |k: usize| led[(k as i64 + shift).clamp(0, most - 1) as usize];
+        played.iter().enumerate().map(|(k, place)| (place - at(k)).norm_squared()).sum::<f64>()
+    };
+    let best = (least..most).step_by(2).map(off).fold(f64::INFINITY, f64::min);
+    Some((best / played.len() as f64).sqrt())
 }
 
 /// The forces on the hand at times that the world's file says. One that is there from the start is a weight, and no push.
@@ -212,6 +246,10 @@ fn asks(own: &Value) -> Vec<Figure> {
     if own.get("rest_s").is_some() {
         figures.push(of("rested", ("rest_s", 1.0), ("s", 0), Shown));
         figures.push(of("drift", ("rest_drift_m", 1e3), ("mm", 2), AtMost(2.0)));
+    }
+    if own.get("played_rms_m").is_some() {
+        let key = ("played_rms_m", 1e3);
+        figures.push(figure(("Kept motion", "played against led, RMS"), own, key, ("mm", 1), AtMost(10.0)));
     }
     if own.get("frozen_stood_after_s").is_some() {
         let key = ("frozen_stood_after_s", 1e3);

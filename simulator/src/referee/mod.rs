@@ -57,6 +57,10 @@ pub enum Milestone {
     WipingStarted,
     /// The robot's hand may be led.
     GuidingStarted,
+    /// The robot begins to play a motion in free space.
+    PlayStarted,
+    /// It has played it.
+    PlayEnded,
 }
 
 impl Milestone {
@@ -73,6 +77,8 @@ impl Milestone {
             }
             "wiping_started" => Self::WipingStarted,
             "guiding_started" => Self::GuidingStarted,
+            "play_started" => Self::PlayStarted,
+            "play_ended" => Self::PlayEnded,
             _ => return None,
         })
     }

@@ -1,16 +1,19 @@
-//! `ForceGuiding`: the hand follows the force of a person who leads it, until they let go of it.
+//! `ForceGuiding`: the hand follows the force of a person who leads it, until they let go of it. The way that it was led is kept
+//! as a motion.
 
 use std::sync::Arc;
 
 use armarium_motion::{Admittance, AdmittanceConfig, GuidingStatus};
 use armarium_robot::Fault;
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit};
+use armarium_values::{Type, Unit, Value};
 use nalgebra::Vector6;
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
-use crate::motions::failed;
+use crate::inputs::reference;
+use crate::led::LedWay;
+use crate::motions::{self, failed};
 
 /// The outcomes besides `success`.
 const NOBODY: &str = "nobody";
@@ -27,6 +30,9 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .optional("patience", Type::Duration, 60.0, "How long it waits to be led.")
     .optional("released", Type::Duration, 2.0, "How long the hand rests until it counts as let go.")
+    .optional("name", Type::String, "led", "Name of the motion as which the way is kept.")
+    .optional("alone", Type::Bool, false, "Whether the arm moves alone, without what helps it: where both hands are led.")
+    .output("motion", Type::motion(), "The way as a motion: to its goal, or periodic where it repeats.")
     .output("way", Type::quantity(Unit::M), "Length of the way that the hand was led.")
     .output("force", Type::quantity(Unit::N), "Mean force with which it was led, or that of the shove.")
     .outcome(NOBODY)
@@ -37,7 +43,13 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (patience, released) = (context.number("patience")?, context.number("released")?);
-    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
+    let alone = *context.value("alone")? == Value::Bool(true);
+    let mut arm = if alone {
+        LeasedArm::take_alone(&equipment, &context).await?
+    } else {
+        LeasedArm::take(&equipment, &context, &[]).await?
+    };
+    let mut way = LedWay::new()?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut law = Admittance::new(config(&equipment, &context)).map_err(failed)?;
     let mut led = Led::default();
@@ -46,8 +58,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         if let Some(Fault::Force { force_n, .. }) = arm.leases().fault() {
             return Ok(led.outcome(SHOVED, force_n));
         }
-        let at = arm.tcp(&sample).translation.vector;
-        let step = law.step(dt, &arm.wrench(&sample)?, &at).map_err(failed)?;
+        let pose = arm.tcp(&sample);
+        let step = law.step(dt, &arm.wrench(&sample)?, &pose.translation.vector).map_err(failed)?;
         match step.status {
             GuidingStatus::Shoved(force_n) => return Ok(led.outcome(SHOVED, force_n)),
             // Without a motion of the null space either, so that nothing drifts.
@@ -56,14 +68,19 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 let [linear, angular] = [0, 3].map(|row| step.twist.fixed_rows::<3>(row).into_owned());
                 let possible = arm.twist(&sample, linear, angular)?;
                 let both = possible.linear.iter().chain(&possible.angular).copied();
+                way.add(dt, &pose)?;
                 law.hold_to(&Vector6::from_iterator(both)).map_err(failed)?;
             }
         }
         let moved = step.twist.fixed_rows::<3>(0).norm() * dt;
         led.add(dt, moved, arm.force(&sample)?.norm());
         if led.rested > released && led.way > LED {
+            drop(arm);
+            let id = motions::address(&equipment.agent, context.text("name")?)?;
+            let learned = way.learned(context.text("name")?)?;
+            motions::keep(&*equipment.memory, &id, &learned, sample.stamp_ns).await?;
             let mean = led.work / led.way;
-            return Ok(led.outcome("success", mean));
+            return Ok(led.outcome("success", mean).with("motion", reference("Motion", &id)));
         }
         if led.rested > patience {
             return Ok(Outcome::named(NOBODY));

@@ -18,6 +18,7 @@ mod move_tcp_by;
 mod movement_imitation;
 mod open_hand;
 mod plan_grasp;
+mod play_motion;
 mod recall_motion;
 mod recall_object;
 mod reset_stop;
@@ -62,6 +63,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         keep_motion::skill(equipment),
         force_adaptation::skill(equipment),
         execute_motion::skill(equipment),
+        play_motion::skill(equipment),
         force_coaching::skill(equipment),
         force_guiding::skill(equipment),
         vision_coaching::skill(equipment),
