@@ -112,6 +112,7 @@ impl TruthSink for RunDigest {
 
 /// Least time between two transforms of the same frame on `/tf`, ns.
 const TRANSFORMS_NS: u64 = 50_000_000;
+
 /// What a person who leads a hand of the robot does to it: force, N, and torque about its TCP, N m, root frame.
 #[derive(Serialize)]
 struct TrueLead {
