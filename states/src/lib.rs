@@ -12,6 +12,7 @@ mod arm;
 mod around;
 mod coaching;
 mod equipment;
+mod follow;
 mod grasp;
 mod hand;
 mod hand_eye;

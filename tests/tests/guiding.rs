@@ -83,3 +83,13 @@ fn both_hands_are_led_at_once() {
         assert!(led["mean_n"].as_f64().unwrap() < 10.0 && led["way_m"].as_f64().unwrap() > 0.1, "{led}");
     }
 }
+
+#[test]
+fn a_platform_follows_a_hand_that_is_led_beyond_the_arms_reach() {
+    let ended = ended("guide.yaml", "guide_far.world.yaml", 1);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let led = &ended.report["guiding"]["leads"][0];
+    let figure = |key: &str| led[key].as_f64().unwrap();
+    assert!(figure("way_m") > 0.4 && figure("behind_m") < 0.04, "{led}");
+    assert!(figure("mean_n") < 10.0 && figure("peak_n") < 20.0, "{led}");
+}

@@ -4,13 +4,14 @@
 use std::sync::Arc;
 
 use armarium_motion::{Admittance, AdmittanceConfig, GuidingStatus};
-use armarium_robot::Fault;
+use armarium_robot::{Fault, Platform};
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
-use nalgebra::Vector6;
+use armarium_values::{Type, Unit};
+use nalgebra::{Vector3, Vector6};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
+use crate::follow::FollowingPlatform;
 use crate::inputs::reference;
 use crate::led::LedWay;
 use crate::motions::{self, failed};
@@ -18,6 +19,9 @@ use crate::motions::{self, failed};
 /// The outcomes besides `success`.
 const NOBODY: &str = "nobody";
 const SHOVED: &str = "shoved";
+/// What moves.
+const ARM: &str = "arm";
+const ROBOT: &str = "robot";
 /// A hand that went less than this was not led, m.
 const LED: f64 = 0.02;
 /// A shove is over this share of the force limit, so that the law stands before the guard gives way.
@@ -31,19 +35,23 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .optional("patience", Type::Duration, 60.0, "How long it waits to be led.")
     .optional("released", Type::Duration, 2.0, "How long the hand rests until it counts as let go.")
     .optional("name", Type::String, "led", "Name of the motion as which the way is kept.")
-    .optional("alone", Type::Bool, false, "Whether the arm moves alone, without what helps it: where both hands are led.")
+    .optional("moves", Type::one_of([ROBOT, ARM]), ROBOT, "What moves: `robot` is the arm with what helps it, and the platform beyond its reach; `arm` is the arm alone, where both hands are led.")
     .output("motion", Type::motion(), "The way as a motion: to its goal, or periodic where it repeats.")
     .output("way", Type::quantity(Unit::M), "Length of the way that the hand was led.")
     .output("force", Type::quantity(Unit::N), "Mean force with which it was led, or that of the shove.")
     .outcome(NOBODY)
     .outcome(SHOVED)
     .mark(Mark::at_start("guiding_started"));
+    let manifest = match equipment.robot.model().platform() {
+        Some(_) => manifest.limb_by_input("moves", ROBOT, Platform::LIMB),
+        None => manifest,
+    };
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (patience, released) = (context.number("patience")?, context.number("released")?);
-    let alone = *context.value("alone")? == Value::Bool(true);
+    let alone = context.text("moves")? == ARM;
     let mut arm = if alone {
         LeasedArm::take_alone(&equipment, &context).await?
     } else {
@@ -51,6 +59,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     };
     let mut way = LedWay::new()?;
     let mut senses = Senses::new(&*equipment.robot, &context);
+    let mut platform = match alone {
+        true => None,
+        false => FollowingPlatform::take(&equipment, &context, arm.limb(), &senses.newest())?,
+    };
     let mut law = Admittance::new(config(&equipment, &context)).map_err(failed)?;
     let mut led = Led::default();
     loop {
@@ -63,10 +75,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         match step.status {
             GuidingStatus::Shoved(force_n) => return Ok(led.outcome(SHOVED, force_n)),
             // Without a motion of the null space either, so that nothing drifts.
-            GuidingStatus::Resting => arm.stand()?,
+            GuidingStatus::Resting => {
+                arm.stand()?;
+                platform.as_mut().map_or(Ok(()), FollowingPlatform::stand)?;
+            }
             GuidingStatus::Led => {
                 let [linear, angular] = [0, 3].map(|row| step.twist.fixed_rows::<3>(row).into_owned());
-                let possible = arm.twist(&sample, linear, angular)?;
+                let carried = match &mut platform {
+                    Some(platform) => platform.follow(dt, &sample, &pose)?,
+                    None => Vector3::zeros(),
+                };
+                let mut possible = arm.twist(&sample, linear - carried, angular)?;
+                possible.linear += carried;
                 let both = possible.linear.iter().chain(&possible.angular).copied();
                 way.add(dt, &pose)?;
                 law.hold_to(&Vector6::from_iterator(both)).map_err(failed)?;
