@@ -299,6 +299,7 @@ mod tests {
             normal: 0.0,
             tangential: 0.0,
             tool: None,
+            fastest_joint: 0.0,
         };
         let mut log = TruthLog::default();
         log.records.extend((0..=end_ms).map(record));

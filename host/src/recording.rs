@@ -113,6 +113,15 @@ impl TruthSink for RunDigest {
 /// Least time between two transforms of the same frame on `/tf`, ns.
 const TRANSFORMS_NS: u64 = 50_000_000;
 
+/// What a person who leads a hand of the robot does to it: force, N, and torque about its TCP, N m, root frame.
+#[derive(Serialize)]
+struct TrueLead {
+    /// The robot's arm, by its index among its arms.
+    arm: usize,
+    force: [f64; 3],
+    torque: [f64; 3],
+}
+
 /// Writes the truth into the recording.
 pub(crate) struct TruthTopics {
     recorder: SharedRecorder,
@@ -146,6 +155,10 @@ impl TruthSink for TruthTopics {
             if let Some(coach) = coach {
                 let coach: Isometry3<f64> = coach;
                 recorder.pose("/truth/coach", t, &coach);
+            }
+            for led in &sample.led {
+                let led = TrueLead { arm: led.arm, force: led.force.into(), torque: led.torque.into() };
+                recorder.json("/truth/led", t, &led)?;
             }
             let contact = TrueContact {
                 normal_n: sample.contact.normal,

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
@@ -39,6 +39,9 @@ use crate::run_log::{self, RunLog, RunLogger};
 use crate::side_tasks;
 use crate::simulated::{StagedRobot, memory_of_run};
 use crate::world_file::WorldFile;
+
+/// How long a robot goes on after a run that has not succeeded: it stands long before.
+const BRAKING: Duration = Duration::from_millis(500);
 
 /// How a run ended.
 #[derive(Clone, Debug)]
@@ -175,6 +178,10 @@ async fn perform(
     // A robot that others use, too, goes on; the leases of this run have ended.
     if !matches!(config.robot_at, Some(RobotAt::Guard(_))) {
         stage.robot.equipment.robot.stop("the run has ended");
+        if result.outcome != "success" {
+            // How it came to stand is part of the truth, and of the recording.
+            tokio::time::sleep(BRAKING).await;
+        }
     }
     stage.robot.handle.stop();
     tasks.iter().for_each(JoinHandle::abort);

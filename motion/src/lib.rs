@@ -7,7 +7,7 @@
 //! Where to start reading: `dmp/mod.rs` is the core that all primitives share, and [`PeriodicDmp`] is the primitive
 //! that is executed. [`AdaptiveOscillator`] finds the frequency of a demonstration, [`Imitation`] combines the two,
 //! [`CoachedMotion`] changes a running motion, [`SurfaceAdaptation`] learns the motion that keeps a force, and [`Motion`]
-//! is the stored form. [`Admittance`] lets a hand be led by the force on it. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
+//! is the stored form, [`Movement`] that of a movement to a goal. [`Admittance`] lets a hand be led by the force on it. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
 //! orientations.
 //!
 //! Equation numbers refer to Petrič, Gams, Žlajpah, Ude and Morimoto, "Online approach for altering robot
@@ -32,6 +32,7 @@ mod friction;
 mod ilc;
 mod imitation;
 mod motion;
+mod movement;
 mod orientation;
 mod oscillator;
 mod period;
@@ -64,6 +65,7 @@ pub use friction::{FrictionConfig, FrictionModel};
 pub use ilc::{FeedbackError, LearningControl, LearningControlConfig};
 pub use imitation::Imitation;
 pub use motion::{Motion, MotionDof, MotionSwitch};
+pub use movement::{Movement, MovementPlay};
 pub use orientation::{DiscreteOrientationDmp, OrientationState, PeriodicOrientationDmp};
 pub use oscillator::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
 pub use period::{PeriodEstimate, PeriodEstimator};

@@ -13,7 +13,7 @@ const MIN_DURATION: f64 = 0.2;
 /// Ratio of the quintic's peak speed to its mean speed.
 const PEAK: f64 = 1.875;
 
-/// Pose and velocity on a line.
+/// Pose and velocity on a line or another way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinePoint {
     /// The pose, in the frame of both ends.

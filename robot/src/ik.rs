@@ -60,6 +60,8 @@ const SCALE_HALVINGS: usize = 5;
 pub struct IkStep<'a> {
     /// Velocities of the chosen joints, rad/s (m/s), in their order.
     pub velocities: &'a [f64],
+    /// The twist of the link's origin with them, root frame.
+    pub twist: Twist,
     /// The share of the twist that respects the joint speed limits, in `0..=1`; below 1 the motion is slower than
     /// requested.
     pub scale: f64,
@@ -126,7 +128,8 @@ impl DifferentialIk {
     pub fn step(&mut self, q: &[f64], twist: &Twist, posture: Option<&[f64]>) -> IkStep<'_> {
         self.velocity.fill(0.0);
         if !twist.linear.iter().chain(&twist.angular).all(|v| v.is_finite()) {
-            return IkStep { velocities: &self.velocity, scale: 0.0, residual: 0.0, singular: 0.0 };
+            let twist = Twist::default();
+            return IkStep { velocities: &self.velocity, twist, scale: 0.0, residual: 0.0, singular: 0.0 };
         }
         self.kinematics.update(q);
         let task = self.weigh(twist);
@@ -141,7 +144,10 @@ impl DifferentialIk {
         }
         let scale = self.bound_speed(&task);
         let residual = (self.product(&self.velocity) - scale * task).norm();
-        IkStep { velocities: &self.velocity, scale, residual, singular }
+        let achieved = product(&self.jacobian, &self.velocity);
+        let [linear, angular] = [0, 3].map(|row| achieved.fixed_rows::<3>(row).into_owned());
+        let twist = Twist { linear, angular };
+        IkStep { velocities: &self.velocity, twist, scale, residual, singular }
     }
 
     /// Computes the weighted Jacobian, in the link's frame, and returns the weighted twist.
@@ -302,10 +308,11 @@ impl DifferentialIk {
     }
 
     fn product(&self, velocity: &[f64]) -> Vector6<f64> {
-        let mut sum = Vector6::zeros();
-        for (column, speed) in self.weighted.column_iter().zip(velocity) {
-            sum += column * *speed;
-        }
-        sum
+        product(&self.weighted, velocity)
     }
+}
+
+fn product(jacobian: &Jacobian, velocity: &[f64]) -> Vector6<f64> {
+    let columns = jacobian.column_iter().zip(velocity);
+    columns.map(|(column, speed)| column * *speed).sum()
 }

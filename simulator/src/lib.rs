@@ -14,6 +14,7 @@ pub mod carrying;
 pub mod coach;
 mod error;
 pub mod foundation;
+mod leading;
 pub mod modification;
 pub mod person;
 pub mod physics;

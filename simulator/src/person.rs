@@ -1,7 +1,8 @@
 //! A person in the scene: what they want at each instant, from their schedule, and how their body follows their hands.
 //!
-//! A person does not know the robot; their hands feel what touches them, as the physics moves them by a spring. Each part is a
-//! solid: legs, trunk, head, upper arms, forearms and hands. This module has no physics and draws nothing.
+//! Of the robot a person knows where its hands are seen, and leads one (`leading.rs`); their hands feel what touches them, as the
+//! physics moves them by a spring. Each part is a solid: legs, trunk, head, upper arms, forearms and hands. This module has no
+//! physics and draws nothing.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,6 +13,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::coach::minimum_jerk;
+pub use crate::leading::Lead;
+use crate::leading::Leading;
 use crate::render::hand::SKIN;
 use crate::world::{PersonAction, PersonSpec};
 
@@ -19,6 +22,8 @@ use crate::world::{PersonAction, PersonSpec};
 const REACTION: [f64; 2] = [0.2, 0.04];
 /// Colour of the legs.
 const TROUSERS: [u8; 3] = [58, 60, 68];
+/// Time constant with which what a person sees follows what is, s.
+const SEEING: f64 = 0.2;
 /// Time constant of the tremor, s.
 const TREMOR_S: f64 = 0.05;
 /// How often a hand waves, Hz, and how far to each side, m.
@@ -40,6 +45,8 @@ pub struct Posture {
     pub room_from_feet: Isometry3<f64>,
     /// Where their hands want to be, right and left, m.
     pub hands: [Point3<f64>; 2],
+    /// What each hand does with a hand of the robot.
+    pub leads: [Option<Lead>; 2],
 }
 
 impl Posture {
@@ -48,7 +55,7 @@ impl Posture {
         let [x, y] = spec.at;
         let room_from_feet =
             Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * spec.yaw_deg.to_radians());
-        Self { room_from_feet, hands: hanging(&room_from_feet, spec.height) }
+        Self { room_from_feet, hands: hanging(&room_from_feet, spec.height), leads: [None; 2] }
     }
 }
 
@@ -65,23 +72,35 @@ pub struct Person {
     tremor: [Vector3<f64>; 2],
     /// Without tremor.
     posture: Posture,
+    /// Where the robot's hands are seen, m.
+    seen: Vec<Point3<f64>>,
+    leading: Option<Leading>,
 }
 
 impl Person {
     /// A person who begins with their arms hanging down.
     pub fn new(spec: &PersonSpec, rng: ChaCha8Rng) -> Self {
         let (tremor, posture) = ([Vector3::zeros(); 2], Posture::standing(spec));
-        Self { spec: spec.clone(), rng, doing: None, next_at: 0.0, next: 0, tremor, posture }
+        let (doing, seen, leading) = (None, Vec::new(), None);
+        Self { spec: spec.clone(), rng, doing, next_at: 0.0, next: 0, tremor, posture, seen, leading }
     }
 
-    /// What they want at `t` s, `dt` s after the last step.
-    pub fn step(&mut self, t: f64, dt: f64) -> Posture {
+    /// What they want at `t` s, `dt` s after the last step, with the hands of the first robot where they are.
+    pub fn step(&mut self, t: f64, dt: f64, robot_hands: &[Point3<f64>]) -> Posture {
+        let follows = 1.0 - (-dt / SEEING).exp();
+        if self.seen.len() != robot_hands.len() {
+            self.seen = robot_hands.to_vec();
+        }
+        for (seen, hand) in self.seen.iter_mut().zip(robot_hands) {
+            *seen += (hand - *seen) * follows;
+        }
         if self.doing.is_none() && t >= self.next_at && self.next < self.spec.does.len() {
             self.doing = Some((self.next, t, self.posture));
+            self.leading = Leading::new(&self.spec.does[self.next], &self.posture.hands, &self.seen);
         }
         if let Some((index, since, from)) = self.doing {
             let action = self.spec.does[index].clone();
-            let over = self.act(&action, &from, t - since);
+            let over = self.act(&action, &from, (t - since, dt));
             if over {
                 self.doing = None;
                 let [mean, deviation] = REACTION;
@@ -92,7 +111,7 @@ impl Person {
                 }
             }
         }
-        let Posture { room_from_feet, mut hands } = self.posture;
+        let Posture { room_from_feet, mut hands, leads } = self.posture;
         if self.spec.tremor > 0.0 {
             let kept = (-dt / TREMOR_S).exp();
             for (hand, tremor) in hands.iter_mut().zip(&mut self.tremor) {
@@ -101,16 +120,25 @@ impl Person {
                 *hand += *tremor;
             }
         }
-        Posture { room_from_feet, hands }
+        Posture { room_from_feet, hands, leads }
     }
 
     /// Goes on with an action that has lasted for `age` s; returns whether it is over.
-    fn act(&mut self, action: &PersonAction, from: &Posture, age: f64) -> bool {
+    fn act(&mut self, action: &PersonAction, from: &Posture, (age, dt): (f64, f64)) -> bool {
         let height = self.spec.height;
         if let Some([x, y]) = action.walk {
             return self.walk(&Vector3::new(x, y, 0.0), from, action.speed, age);
         }
         let feet = &from.room_from_feet;
+        if !action.lead.is_empty() {
+            let Posture { hands, leads, .. } = &mut self.posture;
+            let Some(leading) = &mut self.leading else { return true };
+            let over = leading.step((age, dt), &self.seen, &hanging(feet, height), (hands, leads));
+            for (side, hand) in hands.iter_mut().enumerate() {
+                *hand = within_reach(feet, height, side, hand);
+            }
+            return over;
+        }
         let side = action.hand.index();
         let rest = hanging(feet, height)[side];
         let beside_head = feet * Point3::new(sign(side) * 0.25, 0.20, 0.95 * height);
@@ -151,7 +179,8 @@ impl Person {
         let feet = Isometry3::from_parts((begin + way * share).into(), turned);
         // The hands move with the body.
         let moved = feet * from.room_from_feet.inverse();
-        self.posture = Posture { room_from_feet: feet, hands: from.hands.map(|hand| moved * hand) };
+        self.posture.room_from_feet = feet;
+        self.posture.hands = from.hands.map(|hand| moved * hand);
         age >= turning + duration
     }
 }
@@ -267,7 +296,7 @@ mod tests {
         let spec = PersonSpec { does: vec![walk, reach], ..PersonSpec::default() };
         let run = |seed: u64| -> Vec<Posture> {
             let mut person = person(&spec, seed);
-            (0..6000).map(|i| person.step(f64::from(i) * 1e-3, 1e-3)).collect()
+            (0..6000).map(|i| person.step(f64::from(i) * 1e-3, 1e-3, &[])).collect()
         };
         let postures = run(1);
         assert_eq!(postures, run(1));

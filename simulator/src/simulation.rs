@@ -321,8 +321,7 @@ impl Simulation {
             add(true_targets, &next.position, zeros, -1.0);
         }
         self.apply_external_forces(t);
-        let postures: Vec<_> = self.people.iter_mut().map(|person| person.step(t, 1e-3)).collect();
-        self.plant.people_want(&postures);
+        self.move_people(t);
         self.publish_truth(stamp_ns);
         self.draw_frames(stamp_ns, t);
         self.robots.iter_mut().for_each(|robot| robot.eyes.deliver(stamp_ns));
@@ -356,6 +355,16 @@ impl Simulation {
         }
     }
 
+    /// Lets the people see the first robot's hands, and takes over what they want.
+    fn move_people(&mut self, t: f64) {
+        if self.people.is_empty() {
+            return;
+        }
+        let hands: Vec<_> = self.plant.tcps(0).map(|tcp| tcp.translation.vector.into()).collect();
+        let postures: Vec<_> = self.people.iter_mut().map(|person| person.step(t, 1e-3, &hands)).collect();
+        self.plant.people_want(&postures);
+    }
+
     /// Computes the external forces: the coach's and those of accidents.
     fn apply_external_forces(&mut self, t: f64) {
         let Self { coach, kinematics, plant, arm, .. } = self;
@@ -370,12 +379,14 @@ impl Simulation {
             let since = match d.after {
                 WorldEvent::Grasp => self.grasped_at,
                 WorldEvent::Wiping => self.wiping_at,
+                WorldEvent::Start => Some(0.0),
             };
             let Some(age) = since.map(|s| t - s - d.at) else { continue };
             if !(0.0..d.duration).contains(&age) {
                 continue;
             }
-            let force = Vector3::from(d.force) * (std::f64::consts::PI * age / d.duration).sin();
+            let rise = if d.steady { 1.0 } else { (std::f64::consts::PI * age / d.duration).sin() };
+            let force = Vector3::from(d.force) * rise;
             if d.knock == "hand" {
                 self.external.hand += force;
             } else if let Some(i) = self.object_names.iter().position(|n| *n == d.knock) {
@@ -403,6 +414,8 @@ impl Simulation {
         truth.object = self.object;
         truth.objects.clear();
         truth.objects.extend((0..self.object_names.len()).filter_map(|object| self.plant.object(object)));
+        truth.led.clear();
+        truth.led.extend(self.plant.led());
         truth.collisions.clear();
         truth.collisions.extend(self.plant.collisions(0));
         if self.steps.is_multiple_of(LOOKED_AT_EVERY) {

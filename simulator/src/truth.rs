@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
 pub use crate::physics::Contact;
-use crate::physics::Touched;
+use crate::physics::{LedHand, Touched};
 use crate::world::{Gesture, WorldEvent};
 
 /// The true state at one control step.
@@ -36,6 +36,8 @@ pub struct TruthSample {
     pub object: Option<usize>,
     /// Poses of the middles of all objects in the root frame, in the world's order.
     pub objects: Vec<Isometry3<f64>>,
+    /// The first robot's hands that a person leads.
+    pub led: Vec<LedHand>,
     /// The forces between the first robot and other things, N.
     pub collisions: Vec<(Touched, f64)>,
     /// The distance between the first robot's arms and each person when it was last looked at, m.

@@ -12,7 +12,7 @@ use armarium_robot::{
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3, Vector6};
 use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
@@ -118,6 +118,15 @@ pub(crate) fn force_at(sensor: usize, sample: &Sensed) -> Vector3<f64> {
     sample.wrenches.get(sensor).map_or_else(Vector3::zeros, |felt| felt.external.force)
 }
 
+/// The compensated wrench that a wrench sensor feels: force, N, and torque about the TCP, N m, root frame.
+fn wrench_at(sensor: usize, sample: &Sensed) -> Vector6<f64> {
+    let felt = sample.wrenches.get(sensor).map(|felt| felt.external).unwrap_or_default();
+    let mut wrench = Vector6::zeros();
+    wrench.fixed_rows_mut::<3>(0).copy_from(&felt.force);
+    wrench.fixed_rows_mut::<3>(3).copy_from(&felt.torque);
+    wrench
+}
+
 /// Where an arm works, with the platform where it is at the positions `now` of all joints: the pose of its TCP in the posture in
 /// which it is ready (root from TCP).
 pub(crate) fn workspace(model: &Model, arm: &Limb, now: &[f64]) -> Result<Isometry3<f64>, Failure> {
@@ -142,8 +151,18 @@ impl ArmLeases {
         arm: &Limb,
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
+        Self::take_with(equipment, context, arm, (&arm.helped_by, targets)).await
+    }
+
+    /// The same with these helpers.
+    async fn take_with(
+        equipment: &Equipment,
+        context: &SkillContext,
+        arm: &Limb,
+        (helpers, targets): (&[String], &[Isometry3<f64>]),
+    ) -> Result<Self, Failure> {
         let touches = at_hand(equipment, arm, targets).await?;
-        let mut limbs: Vec<&str> = arm.helped_by.iter().chain([&arm.name]).map(String::as_str).collect();
+        let mut limbs: Vec<&str> = helpers.iter().chain([&arm.name]).map(String::as_str).collect();
         let lease = loop {
             match try_lease(equipment, context, &limbs, &touches) {
                 Err(LeaseError::Taken { limb, .. }) if limb != arm.name => limbs.retain(|name| *name != limb),
@@ -186,7 +205,16 @@ impl LeasedArm {
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
         let limb = chosen(equipment, context)?;
-        let leases = ArmLeases::take(equipment, context, limb, targets).await?;
+        Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, targets).await?)
+    }
+
+    /// Leases the arm that the input names, without what helps it.
+    pub(crate) async fn take_alone(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let limb = chosen(equipment, context)?;
+        Self::with(equipment, limb, ArmLeases::take_with(equipment, context, limb, (&[], &[])).await?)
+    }
+
+    fn with(equipment: &Equipment, limb: &Limb, leases: ArmLeases) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
         let tcp = tcp_of(limb)?;
         let posture = leases.joints.iter().map(|&j| model.ready(&limb.name)[j]).collect();
@@ -213,6 +241,11 @@ impl LeasedArm {
     /// The compensated force on its hand at a sample, root frame, N.
     pub(crate) fn force(&self, sample: &Sensed) -> Result<Vector3<f64>, Failure> {
         Ok(force_at(sensor_of(&self.limb)?, sample))
+    }
+
+    /// The compensated wrench on its hand at a sample: force, N, and torque about the TCP, N m, root frame.
+    pub(crate) fn wrench(&self, sample: &Sensed) -> Result<Vector6<f64>, Failure> {
+        Ok(wrench_at(sensor_of(&self.limb)?, sample))
     }
 
     /// `root_from_tcp` at a sample.
@@ -242,15 +275,16 @@ impl LeasedArm {
         Ok(position.norm())
     }
 
-    /// Moves the TCP with a twist in the root frame: m/s, rad/s.
+    /// Moves the TCP with a twist in the root frame: m/s, rad/s. Returns the twist that its joints can follow.
     pub(crate) fn twist(
         &mut self,
         sample: &Sensed,
         linear: Vector3<f64>,
         angular: Vector3<f64>,
-    ) -> Result<(), Failure> {
+    ) -> Result<Twist, Failure> {
         let step = self.ik.step(&sample.position, &Twist { linear, angular }, Some(&self.posture));
-        self.leases.command(step.velocities)
+        self.leases.command(step.velocities)?;
+        Ok(step.twist)
     }
 
     /// Moves the joints with which it reaches, rad/s (m/s), in their order.
@@ -260,7 +294,12 @@ impl LeasedArm {
 
     /// Holds the arm still.
     pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
-        self.twist(sample, Vector3::zeros(), Vector3::zeros())
+        self.twist(sample, Vector3::zeros(), Vector3::zeros()).map(|_| ())
+    }
+
+    /// Holds its joints still, and with them what the null space would move.
+    pub(crate) fn stand(&self) -> Result<(), Failure> {
+        self.command(&vec![0.0; self.joints().len()])
     }
 }
 

@@ -4,19 +4,41 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, Snapshot};
-use armarium_motion::Motion;
+use armarium_motion::{Motion, Movement};
 use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 
 /// The core segment that holds motions.
 const SEGMENT: &str = "Motions";
 
-/// Reads the motion of a snapshot.
+/// A motion in memory: periodic, or a movement to a goal.
+pub(crate) enum Kept {
+    Motion(Box<Motion>),
+    Movement(Box<Movement>),
+}
+
+/// Reads the motion of a snapshot, which has to be periodic.
 pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
+    match kept_in(snapshot)? {
+        Kept::Motion(motion) => Ok(*motion),
+        Kept::Movement(_) => Err(Failure::new(format!(
+            "the motion `{}` goes to a goal, and a periodic one is needed here; `PlayMotion` plays both",
+            snapshot.id
+        ))),
+    }
+}
+
+/// Reads the motion of a snapshot.
+pub(crate) fn kept_in(snapshot: &Snapshot) -> Result<Kept, Failure> {
+    let unusable = |e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id));
+    if let Some(value) = snapshot.attribute("movement") {
+        return serde_json::from_value(value.to_json())
+            .map(|it| Kept::Movement(Box::new(it)))
+            .map_err(unusable);
+    }
     let value = snapshot.attribute("motion");
     let value = value.ok_or_else(|| Failure::new(format!("the entity `{}` holds no motion", snapshot.id)))?;
-    serde_json::from_value(value.to_json())
-        .map_err(|e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id)))
+    serde_json::from_value(value.to_json()).map(|it| Kept::Motion(Box::new(it))).map_err(unusable)
 }
 
 /// The newest version of a motion.
@@ -41,6 +63,33 @@ pub(crate) fn address(agent: &str, name: &str) -> Result<EntityId, Failure> {
     EntityId::new(SEGMENT, agent, name).map_err(failed)
 }
 
+/// Writes what was learned as the newest version of its entity.
+pub(crate) async fn keep(
+    memory: &dyn Memory,
+    id: &EntityId,
+    learned: &Kept,
+    stamp_ns: u64,
+) -> Result<(), Failure> {
+    let movement = match learned {
+        Kept::Motion(motion) => return store(memory, id, motion, stamp_ns).await,
+        Kept::Movement(movement) => movement,
+    };
+    let json = serde_json::to_value(movement).map_err(|e| unwritable(id, &e))?;
+    let attributes = BTreeMap::from([
+        ("name".to_owned(), Value::from(movement.name())),
+        ("kind".to_owned(), Value::from("discrete DMP")),
+        ("duration".to_owned(), Value::Float(movement.duration_s())),
+        ("learned_from".to_owned(), Value::from(movement.learned_from())),
+        ("movement".to_owned(), Value::from_json(&json)),
+    ]);
+    memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
+    Ok(())
+}
+
+fn unwritable(id: &EntityId, error: &serde_json::Error) -> Failure {
+    Failure::new(format!("the motion `{id}` cannot be written to memory: {error}"))
+}
+
 /// Writes a motion as the newest version of its entity.
 pub(crate) async fn store(
     memory: &dyn Memory,
@@ -59,8 +108,7 @@ pub(crate) fn commit(
     stamp_ns: u64,
     expected_version: Option<u64>,
 ) -> Result<Commit, Failure> {
-    let json = serde_json::to_value(motion)
-        .map_err(|e| Failure::new(format!("the motion `{id}` cannot be written to memory: {e}")))?;
+    let json = serde_json::to_value(motion).map_err(|e| unwritable(id, &e))?;
     let attributes = BTreeMap::from([
         ("name".to_owned(), Value::from(motion.name())),
         ("kind".to_owned(), Value::from("periodic DMP")),

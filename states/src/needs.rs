@@ -11,7 +11,7 @@ pub struct Lack {
     pub skills: &'static [&'static str],
 }
 
-const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion"];
+const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion", "PlayMotion"];
 const HAND: &[&str] = &[
     "OpenHand",
     "CloseHand",
@@ -21,8 +21,15 @@ const HAND: &[&str] = &[
     "AttachObject",
     "CalibrateHandEye",
 ];
-const WRENCH: &[&str] =
-    &["Tare", "WeighHand", "VerifyGrasp", "ForceAdaptation", "ExecuteMotion", "ForceCoaching"];
+const WRENCH: &[&str] = &[
+    "Tare",
+    "WeighHand",
+    "VerifyGrasp",
+    "ForceAdaptation",
+    "ExecuteMotion",
+    "ForceCoaching",
+    "ForceGuiding",
+];
 const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose"];
 const CAMERAS: &[&str] = &[
     "LocateObject",

@@ -101,7 +101,9 @@ impl Step {
     fn record(self, stamp_ns: u64, object: Option<usize>) -> Option<Record> {
         let (normal, tangential) = (self.normal?, self.tangential?);
         let object = object.zip(self.object);
-        Some(Record { stamp_ns, tcp: self.tcp?, object, normal, tangential, tool: None })
+        // The true speeds of the joints are not in the recording.
+        let fastest_joint = f64::INFINITY;
+        Some(Record { stamp_ns, tcp: self.tcp?, object, normal, tangential, tool: None, fastest_joint })
     }
 }
 

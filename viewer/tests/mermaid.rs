@@ -62,8 +62,18 @@ fn mermaid_draws_every_chart_and_shows_every_text_as_it_was() {
     let Some(modules) = modules() else { return };
     let folder = tempfile::tempdir().expect("a temporary folder");
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let shipped =
-        ["await_cup", "grasp_object", "learn_wiping", "reach_told", "share_scene", "watch_table", "wiping"];
+    let shipped = [
+        "await_cup",
+        "grasp_object",
+        "guide",
+        "guide_both",
+        "learn_wiping",
+        "reach_told",
+        "share_scene",
+        "teach",
+        "watch_table",
+        "wiping",
+    ];
     let charts = shipped.map(|name| load(&here.join(format!("../statecharts/{name}.yaml")), &[]));
     let charts = charts.into_iter().chain([load_text("odd.yaml", ODD, &[])]);
     let files: Vec<PathBuf> = charts.map(|library| write(&library, folder.path())).collect();

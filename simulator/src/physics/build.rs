@@ -134,8 +134,13 @@ pub(super) fn add_person_part(
     let part = shape(form, &Isometry3::identity())
         .density(0.0)
         .friction(SKIN_FRICTION)
-        .collision_groups(groups(PERSON, ROBOT | RIGID | OBJECT));
+        .collision_groups(person_groups(true));
     (body, physics.insert_collider(part, Some(body)))
+}
+
+/// What a part of a person touches; nothing while it `touches` nothing.
+pub(super) fn person_groups(touches: bool) -> rapier::InteractionGroups {
+    groups(PERSON, if touches { ROBOT | RIGID | OBJECT } else { rapier::Group::NONE })
 }
 
 /// Attaches a body to the room by its hinge or its slide; returns whether it has one.

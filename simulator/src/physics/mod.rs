@@ -19,4 +19,5 @@ mod scene_tests;
 mod tests;
 mod wrench;
 
+pub use people::LedHand;
 pub use plant::{Contact, DT, External, PAD_FRICTION, Plant, Targets, Touched};

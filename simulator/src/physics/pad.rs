@@ -26,7 +26,7 @@ pub struct Moving {
 }
 
 impl Moving {
-    fn velocity_at(&self, point: &Point3<f64>) -> Vector3<f64> {
+    pub(super) fn velocity_at(&self, point: &Point3<f64>) -> Vector3<f64> {
         self.linear + self.angular.cross(&(point.coords - self.pose.translation.vector))
     }
 }

@@ -25,7 +25,7 @@ use super::build::{add_body, add_room, empty_room};
 use super::contacts::{Outside, Touch, touches};
 use super::convert;
 use super::pad::{Moving, Pad, PadReaction};
-use super::people::PersonBodies;
+use super::people::{LedHand, PersonBodies};
 use super::robot::{ArmWithHand, PaddedHand, PlantRobot};
 use super::wrench::Momentum;
 use crate::error::PlantError;
@@ -226,9 +226,7 @@ impl Plant {
         }
         self.apply(external);
         self.press_pads();
-        for person in &self.people {
-            person.apply(&mut self.physics.bodies);
-        }
+        self.lead();
         self.physics.step();
         self.touches = touches(&self.physics);
         for (robot, targets) in self.robots.iter_mut().zip(targets) {
@@ -321,6 +319,22 @@ impl Plant {
             body.add_force(convert::vector(&-force), true);
             body.add_torque(convert::vector(&on_box), true);
         }
+    }
+
+    /// Moves the people, and what they do to the hands of the first robot that they lead.
+    fn lead(&mut self) {
+        let Self { physics, people, robots, .. } = self;
+        let arms = &mut robots[0].arms;
+        arms.iter_mut().for_each(|arm| arm.led = None);
+        for person in people {
+            person.apply(&mut physics.bodies);
+            person.lead(physics, arms);
+        }
+    }
+
+    /// The hands of the first robot that are led, in the order of its arms.
+    pub fn led(&self) -> impl Iterator<Item = LedHand> + '_ {
+        self.robots[0].arms.iter().filter_map(|arm| arm.led)
     }
 
     /// The forces of what the soft pads of a robot press on its hands, in the order of its arms; torques about the TCPs.
@@ -440,6 +454,10 @@ impl Plant {
                 outside.add(&reaction.force, &arm.hand.tcp(&self.physics.bodies).translation.vector);
                 outside.torque += reaction.torque;
             }
+            if let Some(LedHand { tcp, force, torque, .. }) = &arm.led {
+                outside.add(force, &tcp.translation.vector);
+                outside.torque += torque;
+            }
             if let Some(held) = arm.hand.grip.held() {
                 let middle =
                     convert::to_vector(self.physics.bodies[self.objects[held].handle].center_of_mass());
@@ -459,8 +477,9 @@ impl Plant {
     fn touched(&self) -> Vec<bool> {
         let held = |arm: &ArmWithHand| arm.hand.grip.held().map(|held| &self.objects[held]);
         let presses = |arm: &ArmWithHand| arm.pad.as_ref().is_some_and(|pad| pad.reaction.normal > 0.0);
-        let rubs =
-            |arm: &ArmWithHand| presses(arm) || held(arm).is_some_and(|object| object.reaction.normal > 0.0);
+        let rubs = |arm: &ArmWithHand| {
+            arm.led.is_some() || presses(arm) || held(arm).is_some_and(|object| object.reaction.normal > 0.0)
+        };
         let mut touched: Vec<bool> = self.arms().map(rubs).collect();
         for pair in self.physics.narrow_phase.contact_pairs().filter(|pair| pair.has_any_active_contact()) {
             for (arm, touched) in self.arms().zip(&mut touched) {

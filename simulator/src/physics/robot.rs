@@ -14,6 +14,7 @@ use super::build::{RobotBodies, add_robot};
 use super::drives::Joints;
 use super::hand::Hand;
 use super::pad::{Pad, PadReaction};
+use super::people::LedHand;
 use crate::error::PlantError;
 use crate::start::{MountedPad, RobotErrors, RobotStart};
 
@@ -35,6 +36,8 @@ pub(super) struct ArmWithHand {
     pub(super) touched: bool,
     pub(super) hand: Hand,
     pub(super) pad: Option<PaddedHand>,
+    /// What a person who leads its hand did in the last step.
+    pub(super) led: Option<LedHand>,
     pub(super) rest: Rest,
 }
 
@@ -125,6 +128,7 @@ impl PlantRobot {
                 touched: false,
                 hand,
                 pad: None,
+                led: None,
                 // The first set points are where the joints are sensed to be.
                 rest: Rest {
                     asleep: true,

@@ -168,3 +168,37 @@ bodies: [{{name: wall, size: [0.3, 0.3, 1.5], mass: 50 kg, friction: 1.0, at: [-
     let hand = room.plant.person(0)[8].translation.vector;
     assert!((hand.y + crate::person::HAND_RADIUS - wall.y).abs() < 3e-3, "{hand} {wall}");
 }
+
+#[test]
+fn a_person_who_holds_the_robots_hand_pulls_it_with_what_its_sensor_feels() {
+    let mut room = Room::new(&format!(
+        "{LEVEL}actors: [{{person: {{at: [0.4, 1.0], stiffness: 300 N/m, strength: 20 N, tremor: 0}}}}]"
+    ));
+    let spec = crate::world::PersonSpec { at: [0.4, 1.0], ..Default::default() };
+    let mut wanted = crate::person::Posture::standing(&spec);
+    let (arm, tcp) = room.plant.tcps(0).enumerate().next().unwrap();
+    // The hand comes first, without touching, and takes it then.
+    let lead = crate::person::Lead { arm, holds: false, turn: nalgebra::UnitQuaternion::identity() };
+    let mut hold = |room: &mut Room, at: Vector3<f64>, holds: bool, seconds: f64| {
+        (wanted.hands[0], wanted.leads[0]) = (at.into(), Some(crate::person::Lead { holds, ..lead }));
+        for _ in 0..(seconds / DT) as usize {
+            room.plant.people_want(&[wanted]);
+            room.go(DT);
+        }
+        room.plant.wrench(0).force
+    };
+    let at = tcp.translation.vector;
+    let free = hold(&mut room, at, false, 5.0);
+    assert_eq!(room.plant.led().count(), 0);
+    let near = hold(&mut room, at, true, 2.0);
+    assert!((near - free).norm() < 0.2, "{near} {free}");
+    for (off, expected) in [(0.04, 12.0), (0.3, 20.0)] {
+        let felt = hold(&mut room, at + Vector3::x() * off, true, 1.5) - free;
+        let led = room.plant.led().next().unwrap();
+        // The grip and the arm give a little.
+        assert!((led.force.norm() - expected).abs() < 0.15 * expected && led.force.x > 0.0, "{}", led.force);
+        assert!((felt.norm() - led.force.norm()).abs() < 0.2, "{felt} {}", led.force);
+    }
+    let after = hold(&mut room, at, false, 1.0);
+    assert!((after - free).norm() < 0.2, "{after} {free}");
+}

@@ -157,6 +157,7 @@ mod tests {
                 normal: 0.0,
                 tangential: 0.0,
                 tool: Some(nalgebra::Vector3::new(x, y, 1.1)),
+                fastest_joint: 0.0,
             })
             .collect();
         let drawn = demonstrated(&path, &records);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
-use crate::physics::Touched;
+use crate::physics::{LedHand, Touched};
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 
 /// Largest number of samples: 20 minutes. Later ones are dropped, and `truncated` is set.
@@ -31,6 +31,8 @@ pub struct Record {
     pub tangential: f64,
     /// Position of the coach's tool, while it is shown.
     pub tool: Option<Vector3<f64>>,
+    /// Speed of the fastest joint, rad/s (m/s).
+    pub fastest_joint: f64,
 }
 
 /// The log of a run.
@@ -46,6 +48,8 @@ pub struct TruthLog {
     pub(super) strongest: BTreeMap<Touched, f64>,
     /// The smallest distance to each person, m.
     pub(super) nearest: Vec<f64>,
+    /// The hands that people led, each millisecond.
+    pub(super) led: Vec<(u64, LedHand)>,
     /// The coach's events.
     pub coach: Vec<ActionEvent>,
     /// The truth about every rendered frame.
@@ -70,7 +74,9 @@ impl TruthLog {
             normal: s.contact.normal,
             tangential: s.contact.tangential.norm(),
             tool: s.coach.tool.map(|t| t.translation.vector),
+            fastest_joint: s.velocity.iter().map(|v| v.abs()).fold(0.0, f64::max),
         });
+        self.led.extend(s.led.iter().map(|hand| (s.stamp_ns, *hand)));
         for (object, pose) in s.objects.iter().enumerate() {
             self.ends.entry(object).or_insert([*pose; 2])[1] = *pose;
         }

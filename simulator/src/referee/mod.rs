@@ -2,13 +2,14 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod coached;
 mod force;
 mod gestures;
 mod grasp;
+mod guiding;
 mod imitation;
 mod log;
 mod paths;
@@ -54,6 +55,12 @@ pub enum Milestone {
     },
     /// The background motion runs and the coach may act.
     WipingStarted,
+    /// The robot's hand may be led.
+    GuidingStarted,
+    /// The robot begins to play a motion in free space.
+    PlayStarted,
+    /// It has played it.
+    PlayEnded,
 }
 
 impl Milestone {
@@ -69,6 +76,9 @@ impl Milestone {
                 Self::AdaptationEnded { desired_n: number("desired_n"), cycles: number("cycles") as u32 }
             }
             "wiping_started" => Self::WipingStarted,
+            "guiding_started" => Self::GuidingStarted,
+            "play_started" => Self::PlayStarted,
+            "play_ended" => Self::PlayEnded,
             _ => return None,
         })
     }

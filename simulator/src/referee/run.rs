@@ -35,7 +35,12 @@ impl<'a> Run<'a> {
         self.marks.iter().rev().find(|(_, m)| test(m)).copied()
     }
 
-    /// The time of that mark, ns.
+    /// The time of the first mark for which `test` is true, ns.
+    pub(super) fn first_time_of(&self, test: impl Fn(&Milestone) -> bool) -> Option<u64> {
+        self.marks.iter().find(|(_, m)| test(m)).map(|(at, _)| *at)
+    }
+
+    /// The time of the last such mark, ns.
     pub(super) fn time_of(&self, test: impl Fn(&Milestone) -> bool) -> Option<u64> {
         self.marked(test).map(|(at, _)| at)
     }

@@ -44,6 +44,7 @@ fn run(seconds: f64, force: impl Fn(f64) -> f64, shift: impl Fn(f64, f64) -> f64
             normal,
             tangential: 0.0,
             tool: None,
+            fastest_joint: 0.0,
         });
     }
     (world, log)

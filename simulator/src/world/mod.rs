@@ -52,8 +52,8 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 8] =
-    ["grasp", "imitation", "force", "wiped_fraction", "gestures", "coaching", "bodies", "people"];
+pub const PROBES: [&str; 9] =
+    ["grasp", "imitation", "force", "wiped_fraction", "gestures", "coaching", "bodies", "people", "guiding"];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
 
@@ -92,7 +92,7 @@ form! {
         /// People who act: the coach, and others who keep to a schedule.
         pub actors: Vec<ActorSpec> = Vec::new(), Rule::most(MAX_ACTORS);
         /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `bodies`,
-        /// `people`; by default each that finds something.
+        /// `people`, `guiding`; by default each that finds something.
         pub probes: Vec<String> = Vec::new(), Rule { most: MAX_LIST, ..Rule::NAME };
         /// Sensors that are broken.
         pub faults: Faults = Faults::default();
@@ -302,7 +302,9 @@ form! {
         /// Force at its centre, N.
         pub force: [f64; 3] = [90.0, 0.0, 0.0], Rule::number("N", -1000.0, 1000.0);
         /// How long, s; the force rises and falls as half a sine.
-        pub duration as "for": f64 = 0.1, Rule::number("s", 0.001, 60.0);
+        pub duration as "for": f64 = 0.1, Rule::number("s", 0.001, 3600.0);
+        /// Whether the force is the same all the time instead.
+        pub steady: bool = false;
     }
 }
 
@@ -315,8 +317,10 @@ pub enum WorldEvent {
     /// The moment when the robot says that it is wiping.
     #[default]
     Wiping,
+    /// The start of the run.
+    Start,
 }
-choice!(WorldEvent { "grasp" => Self::Grasp, "wiping" => Self::Wiping });
+choice!(WorldEvent { "grasp" => Self::Grasp, "wiping" => Self::Wiping, "start" => Self::Start });
 
 /// Names of agents are parts of network keys.
 fn check_agent_name(name: &str, node: &Node, findings: &mut Findings) {

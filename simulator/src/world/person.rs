@@ -10,6 +10,8 @@ use super::{COLOR, CoachSpec, within};
 
 /// Most things that one person does.
 const MAX_ACTIONS: usize = 1000;
+/// Most places of the way along which a hand is led.
+const MAX_PLACES: usize = 100;
 
 form! {
     /// Somebody who acts in the scene: either `coach` or `person`.
@@ -40,6 +42,10 @@ form! {
         pub stiffness: f64 = 400.0, Rule::number("N/m", 50.0, 2000.0);
         /// Damping of the hand, N s/m.
         pub damping: f64 = 25.0, Rule::number("", 1.0, 200.0);
+        /// Largest force with which an arm pulls its hand to where it wants it, N.
+        pub strength: f64 = 100.0, Rule::number("N", 1.0, 1000.0);
+        /// Stiffness with which a wrist turns what its hand leads, N m/rad.
+        pub wrist: f64 = 10.0, Rule::number("", 0.1, 100.0);
         /// Standard deviation of the tremor of what a hand wants, m.
         pub tremor: f64 = 0.001, Rule::number("m", 0.0, 0.05);
         /// Colour of the clothes above the waist, RGB.
@@ -52,7 +58,7 @@ form! {
 }
 
 form! {
-    /// One thing that a person does: `walk`, `reach` or `wave`; without these, the person waits.
+    /// One thing that a person does: `walk`, `reach`, `wave` or `lead`; without these, the person waits.
     pub struct PersonAction: "an action of a person", check Self::is_one {
         /// Where the person walks to, m.
         #[serde(skip_serializing_if = "Option::is_none")]
@@ -62,11 +68,19 @@ form! {
         pub reach: Option<[f64; 3]> = None, within(5.0);
         /// Whether the hand waves beside the head.
         pub wave: bool = false;
+        /// The way along which the hand leads that hand of the first robot that is nearest, m from where it takes it.
+        pub lead: Vec<[f64; 3]> = Vec::new(), Rule { most: MAX_PLACES, ..within(5.0) };
+        /// How far it turns the led hand on the way, about x, y and z, degrees.
+        pub turn_deg: [f64; 3] = [0.0; 3], Rule::degrees(180.0, "turn");
+        /// How often it leads along the way.
+        pub times: u32 = 1, Rule::number("", 1.0, 1000.0);
+        /// Whether the other hand does the same with another hand of the robot.
+        pub both: bool = false;
         /// Which hand.
         pub hand: Side = Side::Right;
         /// How fast the person walks or the hand moves, m/s.
         pub speed: f64 = 0.6, Rule::number("m/s", 0.05, 3.0);
-        /// How long the hand stays or waves, or the person waits, s.
+        /// How long the hand stays, waves or holds the led hand at the end, or the person waits, s.
         pub duration as "for": f64 = 2.0, Rule::number("s", 0.0, 3600.0);
     }
 }
@@ -111,10 +125,15 @@ impl ActorSpec {
 
 impl PersonAction {
     fn is_one(&self, node: &Node, findings: &mut Findings) {
-        let kinds = [self.walk.is_some(), self.reach.is_some(), self.wave];
+        let kinds = [self.walk.is_some(), self.reach.is_some(), self.wave, !self.lead.is_empty()];
         if kinds.into_iter().filter(|kind| *kind).count() > 1 {
-            let message = "a person does one thing at a time: `walk`, `reach` or `wave`";
+            let message = "a person does one thing at a time: `walk`, `reach`, `wave` or `lead`";
             findings.error_help(code::VALUE, node.span, message, Some("write one entry for each".into()));
+        }
+        let turns = self.turn_deg != [0.0; 3];
+        if turns && (self.lead.is_empty() || self.times > 1) {
+            let message = "what is led once is turned on the way, and nothing else";
+            findings.error_help(code::VALUE, node.place("turn_deg"), message, Some("leave it out".into()));
         }
     }
 }
@@ -127,7 +146,8 @@ impl PersonSpec {
         flip(&mut self.yaw_deg);
         for action in &mut self.does {
             action.walk.iter_mut().for_each(|to| flip(&mut to[0]));
-            action.reach.iter_mut().for_each(|to| flip(&mut to[0]));
+            action.reach.iter_mut().chain(&mut action.lead).for_each(|to| flip(&mut to[0]));
+            action.turn_deg[1..].iter_mut().for_each(flip);
             action.hand = action.hand.other();
         }
     }

@@ -21,9 +21,10 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let (motion, _) = motions::load(&*equipment.memory, &context.entity("motion")?).await?;
+    let newest = equipment.memory.latest(&context.entity("motion")?).await.map_err(motions::failed)?;
+    let motion = motions::kept_in(&newest)?;
     let id = motions::address(&equipment.agent, context.text("name")?)?;
     let stamp_ns = equipment.robot.sensed().borrow().stamp_ns;
-    motions::store(&*equipment.memory, &id, &motion, stamp_ns).await?;
+    motions::keep(&*equipment.memory, &id, &motion, stamp_ns).await?;
     Ok(Outcome::success().with("motion", reference("Motion", &id)))
 }

@@ -6,6 +6,7 @@ mod close_hand;
 mod execute_motion;
 mod force_adaptation;
 mod force_coaching;
+mod force_guiding;
 mod imitate_motion;
 mod keep_motion;
 mod locate_object;
@@ -17,6 +18,7 @@ mod move_tcp_by;
 mod movement_imitation;
 mod open_hand;
 mod plan_grasp;
+mod play_motion;
 mod recall_motion;
 mod recall_object;
 mod reset_stop;
@@ -61,7 +63,9 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         keep_motion::skill(equipment),
         force_adaptation::skill(equipment),
         execute_motion::skill(equipment),
+        play_motion::skill(equipment),
         force_coaching::skill(equipment),
+        force_guiding::skill(equipment),
         vision_coaching::skill(equipment),
         watch_coach::skill(equipment),
     ]

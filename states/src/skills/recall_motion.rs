@@ -7,20 +7,21 @@ use armarium_values::{Type, Unit};
 
 use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
-use crate::motions;
+use crate::motions::{self, Kept};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("RecallMotion", "Finds a kept motion in memory by its name.")
         .input("name", Type::String, "The name that it was kept under.")
         .output("motion", Type::motion(), "The motion.")
-        .output("frequency", Type::quantity(Unit::HZ), "Its frequency.");
+        .output("frequency", Type::quantity(Unit::HZ), "Its frequency; 0 of one that goes to a goal.");
     equipment::skill(equipment, manifest, run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let snapshot = motions::find(&*equipment.memory, context.text("name")?).await?;
-    let motion = motions::motion_of(&snapshot)?;
-    Ok(Outcome::success()
-        .with("motion", reference("Motion", &snapshot.id))
-        .with("frequency", motion.frequency_hz()))
+    let frequency = match motions::kept_in(&snapshot)? {
+        Kept::Motion(motion) => motion.frequency_hz(),
+        Kept::Movement(_) => 0.0,
+    };
+    Ok(Outcome::success().with("motion", reference("Motion", &snapshot.id)).with("frequency", frequency))
 }
