@@ -98,7 +98,8 @@ impl Run {
         self.said.read_to_string(&mut rest).unwrap();
         self.child.wait().unwrap();
         let file = self.folder.path().join("report/report.json");
-        serde_json::from_str(&std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{error}: {rest}"))).unwrap()
+        serde_json::from_str(&std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{error}: {rest}")))
+            .unwrap()
     }
 }
 
@@ -170,10 +171,16 @@ fn strangers_are_refused_and_harm_nothing() {
     let known: Json = serde_json::from_str(all.split_once("\r\n\r\n").unwrap().1).unwrap();
     let token = format!("X-Armarium-Token: {}\r\n", known["token"].as_str().unwrap());
     assert_eq!(status(&act(&token, "nonsense")), "400");
-    let large = format!("POST /act HTTP/1.1\r\nHost: {host}\r\n{token}Content-Length: 1000000000\r\n\r\n{}", "x".repeat(100_000));
+    let large = format!(
+        "POST /act HTTP/1.1\r\nHost: {host}\r\n{token}Content-Length: 1000000000\r\n\r\n{}",
+        "x".repeat(100_000)
+    );
     assert!(["413", "none"].contains(&status(&run.ask(&large)).as_str()));
     assert!(["400", "none"].contains(&status(&run.ask("\u{1}\u{2} garbage\r\n\r\n")).as_str()));
-    assert_eq!(status(&run.ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\nX: {}\r\n\r\n", "y".repeat(100_000)))), "431");
+    assert_eq!(
+        status(&run.ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\nX: {}\r\n\r\n", "y".repeat(100_000)))),
+        "431"
+    );
     // Far more connections than there is room for; afterwards there is room again.
     let crowd: Vec<_> = (0..600).filter_map(|_| TcpStream::connect(&host).ok()).collect();
     drop(crowd);
@@ -198,11 +205,14 @@ fn a_recording_that_is_none_says_so() {
 /// The folder of the npm packages and the browser.
 fn browser() -> Option<(PathBuf, PathBuf)> {
     let modules = std::env::var_os("ARMARIUM_NODE_MODULES").map(PathBuf::from);
-    let modules = modules.filter(|folder| ["playwright-core", "axe-core"].iter().all(|name| folder.join(name).is_dir()));
+    let modules = modules
+        .filter(|folder| ["playwright-core", "axe-core"].iter().all(|name| folder.join(name).is_dir()));
     let chromium = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let chromium = chromium.iter().map(PathBuf::from).find(|file| file.is_file());
     if modules.is_none() || chromium.is_none() {
-        outside::not_run("a browser needs Debian's chromium, and the npm packages playwright-core and axe-core in ARMARIUM_NODE_MODULES");
+        outside::not_run(
+            "a browser needs Debian's chromium, and the npm packages playwright-core and axe-core in ARMARIUM_NODE_MODULES",
+        );
     }
     modules.zip(chromium)
 }
@@ -214,7 +224,8 @@ fn play(scenario: &str, url: &str) -> Option<Json> {
     let folder = tempfile::tempdir().unwrap();
     let pictures = std::env::var_os("ARMARIUM_PICTURES").map_or(folder.path().to_owned(), PathBuf::from);
     let mut node = Command::new("node");
-    let played = node.arg(script).arg(modules).arg(chromium).arg(scenario).arg(url).arg(&pictures).output().unwrap();
+    let played =
+        node.arg(script).arg(modules).arg(chromium).arg(scenario).arg(url).arg(&pictures).output().unwrap();
     let (out, err) = (String::from_utf8_lossy(&played.stdout), String::from_utf8_lossy(&played.stderr));
     assert!(played.status.success(), "{scenario}: {err}");
     Some(serde_json::from_str(&out).unwrap())
@@ -225,7 +236,10 @@ fn a_browser_follows_a_run_to_its_end_and_looks_back() {
     let run = Run::start(SWINGS, &["--live-hold", "--speed", "1", "--for", "12s"]);
     let Some(found) = play("follow", &run.url) else { return };
     let during: Vec<&str> = found["during"].as_array().unwrap().iter().filter_map(Json::as_str).collect();
-    assert!(during.contains(&"Swing") && during.iter().any(|state| state.starts_with("Swing.")), "{during:?}");
+    assert!(
+        during.contains(&"Swing") && during.iter().any(|state| state.starts_with("Swing.")),
+        "{during:?}"
+    );
     assert_eq!(found["outcome"], "stopped");
     assert!(found["entities"].as_u64().unwrap() > 0, "memory has prior knowledge");
 }

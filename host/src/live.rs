@@ -25,7 +25,7 @@ use tokio::sync::broadcast::error::RecvError;
 use crate::console::Console;
 use crate::error::HostError;
 use crate::recording::SharedRecorder;
-use crate::run_config::RunConfig;
+use crate::run_config::{LiveOptions, RunConfig};
 
 /// Topic of what somebody did through the page.
 const ACTIONS: &str = "/live/actions";
@@ -33,15 +33,6 @@ const ACTIONS: &str = "/live/actions";
 const COACH: &str = "coach";
 /// How large the coach's hand is shown, m, and its colour.
 const HAND: (f32, [u8; 3]) = (0.045, [224, 172, 138]);
-
-/// The page of a run.
-#[derive(Clone, Debug, Default)]
-pub struct LiveOptions {
-    /// The port; 0 is any that is free.
-    pub port: u16,
-    /// Whether the page may act.
-    pub control: bool,
-}
 
 /// The page while the run goes on.
 pub(crate) struct Live {

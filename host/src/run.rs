@@ -202,8 +202,7 @@ async fn perform(
         config,
         &chart,
         &world.world,
-        (result, began, recorded),
-        acted,
+        (result, began, recorded, acted),
         (&logger.log, &joints, &others, &robots),
         console,
     )
@@ -416,8 +415,7 @@ impl Stage {
         config: &RunConfig,
         chart: &str,
         world: &World,
-        (result, began, recorded): (RunResult, Instant, bool),
-        acted: Vec<String>,
+        (result, began, recorded, acted): (RunResult, Instant, bool, Vec<String>),
         (log, joints, others, robots): (
             &Mutex<RunLog>,
             &Mutex<JointLog>,

@@ -9,7 +9,15 @@ use armarium_simulator::World;
 
 use crate::catalog::SkillFactory;
 use crate::driven::RobotAt;
-use crate::live::LiveOptions;
+
+/// The page of a run.
+#[derive(Clone, Debug, Default)]
+pub struct LiveOptions {
+    /// The port; 0 is any that is free.
+    pub port: u16,
+    /// Whether the page may act.
+    pub control: bool,
+}
 
 /// The configuration of a run.
 #[derive(Clone)]

@@ -38,7 +38,7 @@ pub(super) fn nearest(value: f32) -> u32 {
 #[inline(always)]
 fn up(value: f64) -> usize {
     let below = value as usize;
-    below + usize::from((below as f64) < value)
+    below.saturating_add(usize::from((below as f64) < value))
 }
 
 /// Colours and inverse depths of one picture.

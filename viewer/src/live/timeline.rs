@@ -65,13 +65,16 @@ struct Run {
     active: BTreeMap<String, u64>,
     numbers: BTreeMap<String, Track>,
     poses: BTreeMap<String, Track>,
-    images: BTreeMap<String, VecDeque<(u64, Arc<[u8]>)>>,
+    images: BTreeMap<String, VecDeque<Jpeg>>,
     /// By its address: the number of its last change, and what is known, as JSON.
     entities: BTreeMap<String, (u64, Arc<str>)>,
     changes: u64,
     /// How it ended.
     ended: Option<Json>,
 }
+
+/// An image of a time, ns.
+type Jpeg = (u64, Arc<[u8]>);
 
 /// Its time, ns, and its text.
 type Event = (u64, Arc<str>);
@@ -82,11 +85,22 @@ type Entities = BTreeMap<String, Arc<str>>;
 /// Numbers by topic or frame.
 type Samples = BTreeMap<String, Vec<f32>>;
 
+/// What a page needs only at first.
+#[derive(Debug)]
+struct First {
+    header: Json,
+    /// Since when each active state is so, ns.
+    active: BTreeMap<String, u64>,
+    /// The names of each topic's numbers.
+    numbers: BTreeMap<String, Vec<String>>,
+    /// The topics of images.
+    images: Vec<String>,
+}
+
 /// What a page is told: all that it needs at first, or what is new.
 #[derive(Debug, Default)]
 pub(super) struct Update {
-    /// What a page needs only at first: header, active states, names of numbers, topics of images.
-    first: Option<(Json, BTreeMap<String, u64>, BTreeMap<String, Vec<String>>, Vec<String>)>,
+    first: Option<First>,
     now_ns: u64,
     /// The number of the first event; more than was expected if some are gone.
     from: u64,
@@ -102,7 +116,7 @@ impl Update {
     /// As JSON. What came as JSON is not read again.
     pub(super) fn json(&self) -> String {
         let mut fields = Vec::new();
-        if let Some((header, active, numbers, images)) = &self.first {
+        if let Some(First { header, active, numbers, images }) = &self.first {
             fields.extend([
                 ("header", header.to_string()),
                 ("active", text(active)),
@@ -175,8 +189,8 @@ impl Timeline {
         let run = self.0.lock();
         let numbers = run.numbers.iter().map(|(topic, track)| (topic.clone(), track.names.clone())).collect();
         let images = run.images.keys().cloned().collect();
-        let first = Some((run.header.clone(), run.active.clone(), numbers, images));
-        Update { first, ..run.since(&Told::default()) }
+        let first = First { header: run.header.clone(), active: run.active.clone(), numbers, images };
+        Update { first: Some(first), ..run.since(&Told::default()) }
     }
 
     /// What is new since `told`, which goes on to now; `None` if nothing is.
@@ -232,7 +246,7 @@ impl Timeline {
     }
 
     /// The image of a topic at a time, ns.
-    pub(super) fn image(&self, topic: &str, stamp_ns: u64) -> Option<(u64, Arc<[u8]>)> {
+    pub(super) fn image(&self, topic: &str, stamp_ns: u64) -> Option<Jpeg> {
         let run = self.0.lock();
         let images = run.images.get(topic)?;
         let at = images.partition_point(|(stamp, _)| *stamp <= stamp_ns).saturating_sub(1);
@@ -426,7 +440,7 @@ mod tests {
         }
         let all = timeline.all();
         assert_eq!((all.events.len(), all.from), (MOST_EVENTS, MOST_EVENTS as u64 + 1));
-        assert_eq!(all.first.as_ref().unwrap().1, BTreeMap::from([("Long".to_owned(), 1)]));
+        assert_eq!(all.first.as_ref().unwrap().active, BTreeMap::from([("Long".to_owned(), 1)]));
         assert_eq!(timeline.news(&mut told).unwrap().from, all.from, "it sees that it has missed some");
     }
 
@@ -436,7 +450,7 @@ mod tests {
         let text = r#"{"force":[1.5,2,null],"held":true,"deep":{"x":-1}}"#;
         timeline.take(5, &RunMessage::Json { topic: "/robot/wrench", text });
         let all = timeline.all();
-        assert_eq!(all.first.unwrap().2["/robot/wrench"], ["deep.x", "force[0]", "force[1]", "held"]);
+        assert_eq!(all.first.unwrap().numbers["/robot/wrench"], ["deep.x", "force[0]", "force[1]", "held"]);
         assert_eq!(
             timeline.series("/robot/wrench", "force[0]", [0.0, 1.0], 10),
             Some(vec![vec![[5e-9, 1.5]]])
