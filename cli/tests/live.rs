@@ -20,7 +20,7 @@ mod outside;
 const SWINGS: &str = "
 statechart: Swings
 initial: Begins
-locals: {times: 0}
+locals: {times: {type: int, default: 0}}
 states:
   Begins: {transitions: {always: Swing}}
   Swing:
@@ -65,10 +65,10 @@ impl Run {
         command.arg("run").arg(&file).args(options).current_dir(folder.path());
         let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let mut said = BufReader::new(child.stderr.take().unwrap());
-        let mut url = String::new();
+        let (mut url, mut before) = (String::new(), String::new());
         while !url.starts_with("http://127.0.0.1:") {
-            url.clear();
-            assert_ne!(said.read_line(&mut url).unwrap(), 0, "it has printed no address");
+            before.push_str(&std::mem::take(&mut url));
+            assert_ne!(said.read_line(&mut url).unwrap(), 0, "it has printed no address: {before}");
         }
         Self { child, url: url.trim().to_owned(), folder, said }
     }

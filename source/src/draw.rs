@@ -15,7 +15,7 @@ use crate::form::{Form, read};
 use crate::remedy::{Edit, Remedy, applied};
 use crate::span::Span;
 use crate::text::Source;
-use crate::yaml::{self, Node, Yaml};
+use crate::yaml::{self, Named, Node, Yaml};
 use crate::{Layout, code};
 
 /// A file in which every range has become a value.
@@ -149,23 +149,8 @@ impl Drawing<'_> {
                     }
                     return;
                 };
-                let first = entries[0].0.span;
-                let mut around = self.layout.brackets.iter().rev();
-                let braces =
-                    around.find(|b| b.map && b.open < first.start && b.close.is_some_and(|c| c > first.end));
-                match (braces, value) {
-                    (Some(braces), Some(text)) => {
-                        let span = Span {
-                            start: braces.open,
-                            end: braces.close.map_or(first.end, |close| close + 1),
-                        };
-                        self.edits.push(Edit { span, text });
-                    }
-                    (None, Some(_)) => {
-                        let help = Some("write it in one line: `{from: ..., to: ...}`".to_owned());
-                        self.findings.error_help(code::FORM, first, "a range stands between braces", help);
-                    }
-                    (_, None) => {}
+                if let Some(text) = value {
+                    self.edits.push(Edit { span: self.written(entries), text });
                 }
             }
             Yaml::List(items) => {
@@ -176,6 +161,20 @@ impl Drawing<'_> {
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Where a range stands: its braces with what is between them, or its lines.
+    fn written(&self, entries: &[(Named, Node)]) -> Span {
+        let (first, last) = (entries[0].0.span, entries[entries.len() - 1].0.span);
+        let mut around = self.layout.brackets.iter().rev();
+        let braces = around.find(|b| b.map && b.open < first.start && b.close.is_some_and(|c| c > last.end));
+        let entry =
+            |key: Span| self.layout.entries.iter().find(|e| e.key.start <= key.start && key.end <= e.key.end);
+        match (entry(first), entry(last), braces.and_then(|b| Some((b.open, b.close?)))) {
+            (Some(first), Some(last), _) if !first.flow => Span { start: first.key.start, end: last.end },
+            (_, _, Some((open, close))) => Span { start: open, end: close + 1 },
+            _ => Span { start: first.start, end: last.end },
         }
     }
 
@@ -297,6 +296,12 @@ mod tests {
     }
 
     #[test]
+    fn a_range_may_stand_in_lines() {
+        let text = "a:\n  from: 3 kg # at least\n  to: 3 kg # at most\nb:\n  - from: 2\n    to: 2\n  - 'one_of': [{c: 1}]\nd: {e: {one_of:\n  [5]}}\n";
+        assert_eq!(drawn(text, 1), "a:\n  3 kg # at most\nb:\n  - 2\n  - {\"c\":1}\nd: {e: 5}\n");
+    }
+
+    #[test]
     fn draws_spread_evenly() {
         let mean = (0..2000).map(|seed| share(seed, "/a/b")).sum::<f64>() / 2000.0;
         // Three standard errors of a uniform number's mean.
@@ -317,7 +322,6 @@ mod tests {
                 "1:18 a number, with its unit if it has one, is needed here, not text",
             ),
             ("a: {one_of: []}\n", "1:13 `one_of` is a list"),
-            ("a:\n  from: 1\n  to: 2\n", "2:3 a range stands between braces"),
         ] {
             let findings = draw(Arc::new(Source::new("w.yaml", text)), 1).expect_err(text);
             let (line, column) = findings[0].position();
