@@ -22,7 +22,7 @@ pub struct Access {
     pub writers: Vec<String>,
     /// Peers that may start its charts and skills, and send them events.
     pub callers: Vec<String>,
-    /// Peers that may see the states of its robots.
+    /// Peers that may see the states of its robots and its live page.
     pub watchers: Vec<String>,
     /// Peers that may lease and command its robots, and see their states.
     pub commanders: Vec<String>,
@@ -132,7 +132,10 @@ impl Access {
             rules.push(rule(other, "is_answered", PUBLISHING, "egress", charts()));
         }
         if is_in(&self.watchers) || is_in(&self.commanders) {
-            let seen = || ["description", "state"].map(|part| format!("{own}/robot/*/{part}"));
+            let seen = || {
+                let parts = ["robot/*/description", "robot/*/state", "live/page", "live/news"];
+                parts.map(|part| format!("{own}/{part}"))
+            };
             rules.push(rule(other, "watches", QUERYING, "ingress", seen()));
             rules.push(rule(other, "is_shown", PUBLISHING, "egress", seen()));
         }

@@ -12,7 +12,7 @@
 //! {agent}/robot/{robot}/{part}                     joints above a guard: description, state, lease, command, do
 //! {agent}/chart/{Chart}                            queryable: start, cancel, outcome
 //! {agent}/event                                    queryable: an event for the charts that run there
-//! {agent}/trace/{run}                              the droppable stream for viewers
+//! {agent}/live/{part}                              the live page: page (queryable), news
 //! {agent}/alive/{service}                          liveliness token
 //! ```
 
@@ -200,12 +200,12 @@ pub fn robot(agent: &str, robot: &str, part: &str) -> Result<Key, KeyError> {
     key(&[agent, "robot", robot, part])
 }
 
-/// The trace of a run, for viewers.
+/// A part of an agent's live page: `page` is asked for what the page shows, on `news` it says what is new.
 ///
 /// # Errors
 /// [`KeyError`].
-pub fn trace(agent: &str, run: &str) -> Result<Key, KeyError> {
-    key(&[agent, "trace", run])
+pub fn live(agent: &str, part: &str) -> Result<Key, KeyError> {
+    key(&[agent, "live", part])
 }
 
 /// The liveliness token of a service of an agent.

@@ -89,7 +89,7 @@ async fn questions_are_answered_refused_or_unanswered() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_full_queue_counts_what_it_drops() {
     let one = Session::open(&SessionConfig::default()).await.unwrap();
-    let key = keys::trace("alice", "run").unwrap();
+    let key = keys::live("alice", "run").unwrap();
     let mut heard = one.subscribe(key.clone(), 2).await.unwrap();
     for i in 0..5 {
         one.put(&key, "e", vec![i]).await.unwrap();

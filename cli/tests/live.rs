@@ -21,8 +21,9 @@ const SWINGS: &str = "
 statechart: Swings
 initial: Begins
 locals: {times: {type: int, default: 0}}
+events: {enough: {description: The robot has swung enough.}}
 states:
-  Begins: {transitions: {always: Swing}}
+  Begins: {always: Swing}
   Swing:
     initial: There
     states:
@@ -30,7 +31,7 @@ states:
       Back:
         skill: MoveJoints
         with: {posture: home}
-        exit: {assign: {locals.times: locals.times + 1}}
+        exit: {assign: {locals.times: '${locals.times + 1}'}}
         transitions: {success: There}
     transitions: {enough: Done}
     after: {90s: Done}
@@ -43,7 +44,7 @@ states:
   Outer:
     initial: Inner
     states:
-      Inner: {skill: MoveTcpBy, with: {offset: [0 m, 0 m, 5 m]}}
+      Inner: {skill: MoveTcpBy, with: {offset: [0, 0, 5]}}
     transitions: {success: Done}
   Done: {final: success}
 ";
@@ -54,6 +55,8 @@ struct Run {
     url: String,
     folder: tempfile::TempDir,
     said: BufReader<std::process::ChildStderr>,
+    /// What was said before the address.
+    before: String,
 }
 
 impl Run {
@@ -70,7 +73,7 @@ impl Run {
             before.push_str(&std::mem::take(&mut url));
             assert_ne!(said.read_line(&mut url).unwrap(), 0, "it has printed no address: {before}");
         }
-        Self { child, url: url.trim().to_owned(), folder, said }
+        Self { child, url: url.trim().to_owned(), folder, said, before }
     }
 
     fn address(&self) -> &str {
@@ -240,6 +243,59 @@ fn a_browser_follows_a_run_to_its_end_and_looks_back() {
         during.contains(&"Swing") && during.iter().any(|state| state.starts_with("Swing.")),
         "{during:?}"
     );
+    assert_eq!(found["outcome"], "stopped");
+    assert!(found["entities"].as_u64().unwrap() > 0, "memory has prior knowledge");
+}
+
+/// `armarium view`, until it is dropped.
+struct View {
+    child: Child,
+    url: String,
+    /// It would end where nobody reads what it says.
+    _said: BufReader<std::process::ChildStdout>,
+}
+
+impl View {
+    fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+        command.arg("view").args(arguments).stdin(Stdio::null()).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let mut url = String::new();
+        let mut said = BufReader::new(child.stdout.take().unwrap());
+        said.read_line(&mut url).unwrap();
+        assert!(url.starts_with("http://127.0.0.1:"), "{url}");
+        Self { child, url: url.trim().to_owned(), _said: said }
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_browser_shows_two_recordings_beside_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("chart.yaml"), SWINGS).unwrap();
+    for (report, time) in [("one", "3s"), ("two", "4s")] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+        command.args(["run", "chart.yaml", "--for", time, "--report", report]).current_dir(folder.path());
+        assert_eq!(command.output().unwrap().status.code(), Some(1), "stopped");
+    }
+    let file = |report: &str| folder.path().join(report).join("run.mcap").display().to_string();
+    let view = View::start(&[&file("one"), &file("two")]);
+    let Some(found) = play("compare", &view.url) else { return };
+    assert!(found["status"].as_str().unwrap().contains("the same 2 transitions"), "{found}");
+}
+
+#[test]
+fn a_browser_follows_a_run_of_another_agent() {
+    let run = Run::start(SWINGS, &["--name", "bob", "--live", "--live-hold", "--for", "12s"]);
+    let heard = run.before.lines().find_map(|line| line.split_once("listens on ")).expect("it says where");
+    let view = View::start(&["bob", "--connect", heard.1.trim()]);
+    let Some(found) = play("follow", &view.url) else { return };
     assert_eq!(found["outcome"], "stopped");
     assert!(found["entities"].as_u64().unwrap() > 0, "memory has prior knowledge");
 }

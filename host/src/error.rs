@@ -44,6 +44,14 @@ pub enum HostError {
         /// The name.
         name: String,
     },
+    /// Nobody shows a live page under that name.
+    #[error(
+        "no agent called `{agent}` shows a live page; `armarium run CHART --name {agent} --live` does (on another machine: also --listen there, and --connect here)"
+    )]
+    NoLivePage {
+        /// The agent.
+        agent: String,
+    },
     /// A chart needs another agent, and there is no session.
     #[error("`{name}` is at another agent: give --connect tcp/HOST:PORT or --listen")]
     NotConnected {

@@ -24,7 +24,7 @@ const MIN_INTERVAL_NS: u64 = 4_000_000_000;
 /// Most kept frames; after that, later ones replace every second one.
 const MAX_FRAMES: usize = 24;
 /// Topic of the left eye in the recording.
-const TOPIC: &str = "/camera/left";
+pub(crate) const LEFT_EYE: &str = "/camera/left";
 /// Patches of the tool's colour with fewer pixels are ignored.
 const MIN_PATCH: u32 = 150;
 
@@ -32,6 +32,7 @@ const MIN_PATCH: u32 = 150;
 pub(crate) struct FrameSampler {
     cameras: Arc<dyn ImageSource>,
     kept: Mutex<Vec<Arc<StereoFrame>>>,
+    newest: Mutex<Option<Arc<StereoFrame>>>,
     known: SearchTargets,
     recorder: SharedRecorder,
 }
@@ -48,14 +49,26 @@ impl FrameSampler {
         let model = |size, color| BoxModel { size: Vector3::from(size), color: ColorModel::from_rgb(color) };
         let objects = world.objects.iter().map(|o| (o.name.clone(), model(o.size, o.color))).collect();
         let known = SearchTargets { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
-        Self { cameras, kept: Mutex::new(Vec::new()), known, recorder }
+        Self { cameras, kept: Mutex::default(), newest: Mutex::default(), known, recorder }
     }
 
     fn record(&self, frame: &StereoFrame) {
-        self.recorder.write(|recorder| recorder.image(TOPIC, frame.stamp_ns, &frame.left));
+        self.recorder.write(|recorder| recorder.image(LEFT_EYE, frame.stamp_ns, &frame.left));
+    }
+
+    /// The frame that passed last.
+    pub(crate) fn newest(&self) -> Option<Arc<StereoFrame>> {
+        self.newest.lock().clone()
+    }
+
+    /// A frame of the left eye as JPEG, with all detections marked.
+    pub(crate) fn marked(&self, frame: &StereoFrame) -> Option<Vec<u8>> {
+        let picture = self.known.picture(self.cameras.calibration(), frame, &|_| String::new())?;
+        Some(picture.data)
     }
 
     fn look(&self, frame: &Arc<StereoFrame>) {
+        *self.newest.lock() = Some(Arc::clone(frame));
         let mut kept = self.kept.lock();
         let due = kept.last().is_none_or(|last| frame.stamp_ns >= last.stamp_ns + MIN_INTERVAL_NS);
         if !due {

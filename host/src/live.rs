@@ -6,24 +6,28 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use armarium_memoryx::{Memory as _, Pattern, Query, WorkingMemory};
 use armarium_runtime::chart::{self, Outline, Registry};
 use armarium_runtime::exec::Controller;
 use armarium_runtime::trace::{TraceEvent, TraceItem};
 use armarium_simulator::render::{Shape, VisibleForm};
-use armarium_simulator::{Referee, Simulation, TruthSample, TruthSink, World};
+use armarium_simulator::{Simulation, TruthSample, TruthSink, World};
 use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::chart::{Unfold, unfold};
 use armarium_viewer::live::{
-    Action, ActionRefused, Control, LiveConfig, LivePage, RunHeader, Solid, SolidForm, Timeline, solids_of,
+    Action, ActionRefused, Control, LivePage, NewestImage, RunHeader, ShownRun, ShownTimeline, Solid,
+    SolidForm, Timeline, solids_of,
 };
+use armarium_visionx::StereoFrame;
 use futures::FutureExt as _;
 use parking_lot::{Condvar, Mutex};
-use tokio::sync::broadcast::error::RecvError;
+use tokio::signal::unix::{SignalKind, signal};
 
+use crate::connection::Connection;
 use crate::console::Console;
 use crate::error::HostError;
+use crate::frame_sampler::{FrameSampler, LEFT_EYE};
+use crate::live_service::LiveOffer;
 use crate::recording::SharedRecorder;
 use crate::run_config::{LiveOptions, RunConfig};
 
@@ -39,6 +43,7 @@ pub(crate) struct Live {
     pub(crate) timeline: Timeline,
     pub(crate) gate: Gate,
     pub(crate) page: Option<Arc<LivePage>>,
+    offered: Option<LiveOffer>,
 }
 
 /// Holds up a run's thread while somebody wants time to stand still; clones are the same gate.
@@ -170,23 +175,25 @@ impl Live {
     /// Nothing is shown yet. The gate goes into the simulation.
     pub(crate) fn prepare(config: &RunConfig) -> Option<Self> {
         config.live.as_ref()?;
-        Some(Self { timeline: Timeline::default(), gate: Gate::default(), page: None })
+        Some(Self { timeline: Timeline::default(), gate: Gate::default(), page: None, offered: None })
     }
 
-    /// Opens the page, and says where it is. Returns what has been done through it, as it happens.
+    /// Opens the page, and says where it is. Others see it too, if the run has a name by which they reach it. Returns what has
+    /// been done through the page, as it happens.
     ///
     /// # Errors
-    /// [`HostError::Live`] when the port cannot be listened on.
-    pub(crate) fn open(
+    /// [`HostError::Live`] when the port cannot be listened on; the errors of the connection.
+    pub(crate) async fn open(
         &mut self,
         options: &LiveOptions,
         (controller, virtual_time): (Controller, bool),
         (recorder, clock): (&SharedRecorder, &armarium_simulator::Handle),
-        (referee, memory): (&Referee, &Arc<WorkingMemory>),
+        shown: ShownTimeline,
+        others: Option<(&Connection, &str)>,
         console: &dyn Console,
     ) -> Result<Arc<Mutex<Vec<String>>>, HostError> {
         let acted = Arc::<Mutex<Vec<String>>>::default();
-        let acting = options.control.then(|| {
+        let control = options.control.then(|| {
             Arc::new(Acting {
                 gate: self.gate.clone(),
                 controller,
@@ -196,15 +203,13 @@ impl Live {
                 acted: Arc::clone(&acted),
             }) as Arc<dyn Control>
         });
-        let referee = referee.clone();
-        let config = LiveConfig {
-            port: options.port,
-            timeline: self.timeline.clone(),
-            report: Some(Arc::new(move || referee.sections())),
-            control: acting,
-        };
-        let memory = tell_memory(Arc::clone(memory), self.timeline.clone());
-        let page = LivePage::open(config, Some(memory.boxed()))
+        let run = ShownTimeline { timeline: self.timeline.clone(), control, ..shown }.served();
+        if let Some((connection, agent)) = others {
+            self.offered = Some(LiveOffer::start(connection, agent, Arc::clone(&run)).await?);
+        }
+        let (telling, gate) = (Arc::clone(&run), self.gate.clone());
+        let beside = vec![async move { telling.tell().await }.boxed(), open_at_signals(gate).boxed()];
+        let page = LivePage::open(options.port, vec![run as Arc<dyn ShownRun>], beside)
             .map_err(|source| HostError::Live { port: options.port, source })?;
         console.page(&page.url());
         self.page = Some(Arc::new(page));
@@ -271,35 +276,26 @@ fn solid(frame: Option<&str>, shape: &Shape) -> Option<Solid> {
     Some(Solid::new(frame, form, &shape.scene_from_shape, shape.color))
 }
 
-/// Tells the page what memory knows, as it changes. It runs on the page's thread, so that the run is the same without it.
-async fn tell_memory(memory: Arc<WorkingMemory>, timeline: Timeline) {
-    loop {
-        let mut changes = memory.changes(&Pattern::any());
-        if let Ok(known) = memory.query(&Query::latest(Pattern::default())).await {
-            known
-                .iter()
-                .for_each(|snapshot| timeline.remember(&snapshot.id.to_string(), Some(&json_of(snapshot))));
-        }
-        loop {
-            match changes.recv().await {
-                Ok(snapshot) => {
-                    let known = snapshot.instance().is_some().then(|| json_of(&snapshot));
-                    timeline.remember(&snapshot.id.to_string(), known.as_ref());
-                }
-                // Too much at once: all is looked at again.
-                Err(RecvError::Lagged(_)) => break,
-                Err(RecvError::Closed) => return,
-            }
-        }
+/// Who waits at a closed gate cannot hear Ctrl-C, or the system's request to end: they open it.
+async fn open_at_signals(gate: Gate) {
+    let Ok(mut terminated) = signal(SignalKind::terminate()) else { return };
+    tokio::select! {
+        biased;
+        _ = tokio::signal::ctrl_c() => {}
+        _ = terminated.recv() => {}
     }
+    gate.change(|state| state.ended = true);
 }
 
-fn json_of(snapshot: &armarium_memoryx::Snapshot) -> serde_json::Value {
-    let instance = snapshot.instance();
-    serde_json::json!({
-        "version": snapshot.version,
-        "referenced_ns": snapshot.referenced_ns,
-        "confidence": instance.map(|instance| instance.confidence),
-        "attributes": instance.map(|instance| Value::Map(instance.attributes.to_map()).to_json()),
+/// The newest frame of the left eye, with what is seen in it. A frame is searched once, however many look.
+pub(crate) fn newest_image(frames: Arc<FrameSampler>) -> NewestImage {
+    let last = Mutex::new(None::<(u64, Arc<[u8]>)>);
+    Arc::new(move |topic| {
+        let frame: Arc<StereoFrame> = frames.newest().filter(|_| topic == LEFT_EYE)?;
+        let mut last = last.lock();
+        if last.as_ref().is_none_or(|(stamp_ns, _)| *stamp_ns != frame.stamp_ns) {
+            *last = Some((frame.stamp_ns, frames.marked(&frame)?.into()));
+        }
+        last.clone()
     })
 }

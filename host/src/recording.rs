@@ -10,7 +10,8 @@ use armarium_bus::codec;
 use armarium_robot::{Kinematics, Model, Robot};
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
-use armarium_viewer::live::RunHeader;
+use armarium_values::report::{Block, Section};
+use armarium_viewer::live::{REPORT, RunHeader};
 use armarium_viewer::recorder::{Recorder, RecorderError, TrueContact, WrenchSample};
 use nalgebra::Isometry3;
 use parking_lot::Mutex;
@@ -195,6 +196,19 @@ pub(crate) fn attach_sources(
     recorder.attach("world.json", "application/json", world_text(world).as_bytes())?;
     let header = serde_json::to_vec(header).unwrap_or_default();
     recorder.attach("run.json", "application/json", &header)
+}
+
+/// Adds the report, so that it can be seen with the recording; its pictures are in the recording anyway.
+///
+/// # Errors
+/// [`RecorderError`].
+pub(crate) fn attach_report(recorder: &mut Recorder, sections: &[Section]) -> Result<(), RecorderError> {
+    let mut sections = sections.to_vec();
+    for section in &mut sections {
+        section.blocks.retain(|block| !matches!(block, Block::Pictures(_)));
+    }
+    sections.retain(|section| !section.blocks.is_empty());
+    recorder.attach(REPORT, "application/json", &serde_json::to_vec(&sections).unwrap_or_default())
 }
 
 /// A world as the text of a world file.

@@ -81,9 +81,19 @@ fn values(values: &BTreeMap<String, Value>) -> Json {
     values.iter().map(|(name, value)| (name.clone(), value.to_json())).collect()
 }
 
-/// Writes both reports into `folder`. Returns the figures of `report.json`, the figures with a requirement, and whether the
-/// files could be written.
-pub(crate) fn write(folder: &Path, case: Case<'_>) -> (Json, Vec<Figure>, io::Result<()>) {
+/// A report that was to be written.
+pub(crate) struct WrittenReport {
+    /// What is in `report.json`.
+    pub(crate) json: Json,
+    /// The figures of all sections.
+    pub(crate) figures: Vec<Figure>,
+    pub(crate) sections: Vec<Section>,
+    /// Whether the files could be written.
+    pub(crate) files: io::Result<()>,
+}
+
+/// Writes both reports into `folder`.
+pub(crate) fn write(folder: &Path, case: Case<'_>) -> WrittenReport {
     let mut figures = figures(&case);
     let memories = (!case.memory_log.is_empty())
         .then(|| {
@@ -101,31 +111,46 @@ pub(crate) fn write(folder: &Path, case: Case<'_>) -> (Json, Vec<Figure>, io::Re
     }
     let sections = case.referee.sections();
     let judged = sections.iter().flat_map(Section::figures).cloned().collect();
-    let written = std::fs::write(folder.join("report.json"), format!("{figures:#}\n")).and_then(|()| {
-        std::fs::write(folder.join("report.html"), report::render(&page(case, sections, memories)))
-    });
-    if written.is_err() {
+    let page = page(case, sections, memories);
+    let files = std::fs::write(folder.join("report.json"), format!("{figures:#}\n"))
+        .and_then(|()| std::fs::write(folder.join("report.html"), report::render(&page)));
+    if files.is_err() {
         // Half a report would be taken for a whole one.
         for file in ["report.json", "report.html"] {
             let _ = std::fs::remove_file(folder.join(file));
         }
     }
-    (figures, judged, written)
+    WrittenReport { json: figures, figures: judged, sections: page.sections, files }
+}
+
+/// The sections of a run's report as far as they are known while it goes on.
+pub(crate) fn so_far(mut judged: Vec<Section>, log: &RunLog) -> Vec<Section> {
+    judged.insert(judged.len().min(1), states(log));
+    judged.push(lines(log));
+    judged
+}
+
+fn states(log: &RunLog) -> Section {
+    let about = "Which states were active, and when. A thin bar is a state with states inside.";
+    Section::new("States", about, vec![Block::Gantt(log.states.clone())])
+}
+
+fn lines(log: &RunLog) -> Section {
+    Section::new("Log", "", vec![Block::Lines(log.lines.clone())])
 }
 
 fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> ReportData {
     let minutes = |s: f64| format!("{:.0} min {:04.1} s", (s / 60.0).floor(), s % 60.0);
     let rest = judged.split_off(judged.len().min(1));
-    let states = "Which states were active, and when. A thin bar is a state with states inside.";
     let joints = "Trajectories over time in seconds; dashed lines are limits.";
     let mut sections = judged;
-    sections.push(Section::new("States", states, vec![Block::Gantt(case.log.states.clone())]));
+    sections.push(states(case.log));
     sections.extend(case.robots.iter().map(OtherRobotEnded::section));
     sections.extend(memories);
     sections.extend(rest);
     sections.push(Section::new("Joints", joints, vec![Block::SmallPlots(case.joints)]));
     sections.push(Section::new("What the cameras saw", "", vec![Block::Pictures(case.pictures)]));
-    sections.push(Section::new("Log", "", vec![Block::Lines(case.log.lines.clone())]));
+    sections.push(lines(case.log));
     ReportData {
         title: case.chart.to_owned(),
         subtitle: format!("world `{}`, seed {}", case.world.name, case.seed),

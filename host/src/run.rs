@@ -14,7 +14,7 @@ use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::report::Figure;
-use armarium_viewer::live::{LivePage, RunHeader};
+use armarium_viewer::live::{LivePage, RunHeader, ShownTimeline};
 use armarium_viewer::progress::ProgressLine;
 use armarium_viewer::recorder::Recorder;
 use armarium_visionx::{ImageSource, Workers};
@@ -31,8 +31,8 @@ use crate::live::{self, Live};
 use crate::network::Network;
 use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
 use crate::other_robots::{InProcess, OtherRobotEnded, OtherRobots};
-use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, record_robot};
-use crate::report::{self, Case, JointLog};
+use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_report, attach_sources, record_robot};
+use crate::report::{self, Case, JointLog, WrittenReport};
 use crate::report_folder::ReportFolder;
 use crate::run_config::RunConfig;
 use crate::run_log::{self, RunLog, RunLogger};
@@ -149,7 +149,8 @@ async fn perform(
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
     stage.open_recording(config, &chart, &world.world, &header)?;
     let virtual_time = workers == Workers::Joined;
-    let page = stage.open_page(config, executor.controller(), virtual_time, console)?;
+    let page =
+        stage.open_page(config, (executor.controller(), virtual_time), &logger.log, network, console).await?;
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut tasks = stage.side_tasks(&executor, &logger, &joints, console, began);
@@ -189,20 +190,12 @@ async fn perform(
     if let Err(error) = stage.memory.flush() {
         console.note(&format!("warning: what was learned was not kept: {error}"));
     }
-    let recorded = stage.recorder.finish();
-    if let Some(live) = &stage.live {
-        live.end(serde_json::json!({
-            "outcome": result.outcome,
-            "reason": result.reason,
-            "chain": result.chain,
-        }));
-    }
     let acted = page.map_or_else(Vec::new, |acted| acted.lock().clone());
     stage.report(
         config,
         &chart,
         &world.world,
-        (result, began, recorded, acted),
+        (result, began, acted),
         (&logger.log, &joints, &others, &robots),
         console,
     )
@@ -369,17 +362,24 @@ impl Stage {
     }
 
     /// Opens the live page, if there is to be one. Gives what is done through it.
-    fn open_page(
+    async fn open_page(
         &mut self,
         config: &RunConfig,
-        controller: Controller,
-        virtual_time: bool,
+        acting: (Controller, bool),
+        log: &Arc<Mutex<RunLog>>,
+        network: &Network,
         console: &Arc<dyn Console>,
     ) -> Result<Option<Arc<Mutex<Vec<String>>>>, HostError> {
         let (Some(live), Some(options)) = (&mut self.live, &config.live) else { return Ok(None) };
         let (recorder, clock) = (&self.recorder, &self.robot.handle);
-        let known = (&self.robot.referee, self.memory.memory());
-        live.open(options, (controller, virtual_time), (recorder, clock), known, &**console).map(Some)
+        let (referee, log) = (self.robot.referee.clone(), Arc::clone(log));
+        let shown = ShownTimeline {
+            report: Some(Arc::new(move || report::so_far(referee.sections(), &log.lock()))),
+            image: Some(live::newest_image(Arc::clone(&self.frames))),
+            ..ShownTimeline::default()
+        };
+        let others = network.connection.as_ref().zip(config.name.as_deref());
+        live.open(options, acting, (recorder, clock), shown, others, &**console).await.map(Some)
     }
 
     /// The tasks beside the chart.
@@ -399,6 +399,11 @@ impl Stage {
                 self.robot.referee.clone(),
                 self.recorder.clone(),
             )),
+            tokio::spawn(side_tasks::record_memory(
+                Arc::clone(self.memory.memory()),
+                self.recorder.clone(),
+                self.robot.handle.clone(),
+            )),
             tokio::spawn(side_tasks::log_joints(equipment.clone(), Arc::clone(joints))),
             tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
             tokio::spawn(side_tasks::show_progress(
@@ -415,7 +420,7 @@ impl Stage {
         config: &RunConfig,
         chart: &str,
         world: &World,
-        (result, began, recorded, acted): (RunResult, Instant, bool, Vec<String>),
+        (result, began, acted): (RunResult, Instant, Vec<String>),
         (log, joints, others, robots): (
             &Mutex<RunLog>,
             &Mutex<JointLog>,
@@ -452,12 +457,19 @@ impl Stage {
             robots,
             acted,
         };
-        let (report, figures, written) = report::write(&config.report, case);
-        if let Err(error) = &written {
+        let WrittenReport { json: report, figures, sections, files } = report::write(&config.report, case);
+        if let Err(error) = &files {
             let folder = config.report.display();
             console.note(&format!("warning: the report cannot be written to {folder}: {error}"));
         }
-        let (reported, folder) = (written.is_ok(), config.report.clone());
+        self.recorder.write(|recorder| attach_report(recorder, &sections));
+        let recorded = self.recorder.finish();
+        if let Some(live) = &self.live {
+            live.timeline.report(sections);
+            let RunResult { outcome, reason, chain, .. } = &result;
+            live.end(serde_json::json!({"outcome": outcome, "reason": reason, "chain": chain}));
+        }
+        let (reported, folder) = (files.is_ok(), config.report.clone());
         let page = self.live.as_ref().and_then(|live| live.page.clone());
         Ok(RunEnded { result, report, figures, recorded, reported, folder, page })
     }

@@ -5,11 +5,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use armarium_memoryx::{Memory as _, Pattern, Query, Snapshot, WorkingMemory};
 use armarium_runtime::exec::Controller;
+use armarium_simulator::Handle;
 use armarium_states::Equipment;
 use armarium_values::Value;
+use armarium_viewer::live::MEMORY;
 use armarium_viewer::progress::ProgressLine;
 use parking_lot::Mutex;
+use tokio::sync::broadcast::error::RecvError;
 
 use crate::console::Console;
 use crate::recording::SharedRecorder;
@@ -18,11 +22,11 @@ use crate::run_log::RunLog;
 
 /// Passes the gesture that vision recognises in each frame to the referee, and records it.
 pub(crate) async fn watch_gestures(
-    memory: Arc<armarium_memoryx::WorkingMemory>,
+    memory: Arc<WorkingMemory>,
     referee: armarium_simulator::Referee,
     recorder: SharedRecorder,
 ) {
-    let mut changes = memory.changes(&armarium_memoryx::Pattern::segment("HumanHands"));
+    let mut changes = memory.changes(&Pattern::segment("HumanHands"));
     loop {
         match changes.recv().await {
             Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
@@ -33,8 +37,39 @@ pub(crate) async fn watch_gestures(
                     recorder.write(|recorder| recorder.json("/vision/hand", snapshot.referenced_ns, &seen));
                 }
             }
-            Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
+            Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(_) => return,
+        }
+    }
+}
+
+/// Records what memory knows, and what changes in it.
+pub(crate) async fn record_memory(memory: Arc<WorkingMemory>, recorder: SharedRecorder, clock: Handle) {
+    let record = |snapshot: &Snapshot| {
+        let instance = snapshot.instance();
+        let known = instance.map(|instance| {
+            serde_json::json!({
+                "version": snapshot.version,
+                "referenced_ns": snapshot.referenced_ns,
+                "confidence": instance.confidence,
+                "attributes": Value::Map(instance.attributes.to_map()).to_json(),
+            })
+        });
+        let change = serde_json::json!({"entity": snapshot.id.to_string(), "known": known});
+        recorder.write(|recorder| recorder.json(MEMORY, clock.now_ns(), &change));
+    };
+    loop {
+        let mut changes = memory.changes(&Pattern::any());
+        if let Ok(known) = memory.query(&Query::latest(Pattern::any())).await {
+            known.iter().for_each(|snapshot| record(snapshot));
+        }
+        loop {
+            match changes.recv().await {
+                Ok(snapshot) => record(&snapshot),
+                // Too much at once: all is looked at again.
+                Err(RecvError::Lagged(_)) => break,
+                Err(RecvError::Closed) => return,
+            }
         }
     }
 }

@@ -9,13 +9,14 @@ const { chromium } = require('playwright-core');
 
 const browser = await chromium.launch({ executablePath: browserPath, args: ['--no-sandbox', '--enable-unsafe-swiftshader'] });
 const errors = [];
-async function open(size = { width: 1366, height: 768 }, more = {}) {
+async function open(size = { width: 1366, height: 768 }, more = {}, shown = '[data-state]') {
   const context = await browser.newContext({ viewport: size, ...more });
+  if (scenario === 'access') await context.addInitScript({ path: require.resolve('axe-core/axe.min.js') });
   const page = await context.newPage();
   page.on('console', (message) => { if (message.type() === 'error' && !/ERR_CONNECTION|Failed to load resource/.test(message.text())) errors.push(message.text()); });
   page.on('pageerror', (error) => errors.push(String(error)));
   await page.goto(url);
-  await page.waitForSelector('[data-state]');
+  await page.waitForSelector(shown);
   return page;
 }
 const active = (page) => page.$$eval('[data-state].active', (all) => all.map((each) => each.dataset.state).filter(Boolean));
@@ -47,6 +48,24 @@ const scenarios = {
     await page.click('#tab-overview');
     return { during, outcome, back, entities };
   },
+  // Two runs beside each other show the same time.
+  async compare() {
+    const page = await open({ width: 1600, height: 900 }, {}, 'iframe');
+    const frames = page.frames().filter((frame) => frame !== page.mainFrame());
+    for (const frame of frames) await frame.waitForSelector('[data-state]');
+    const clocks = () => Promise.all(frames.map((frame) => frame.textContent('#clock')));
+    await frames[0].click('#tab-overview');
+    for (const [frame, key] of [[frames[0], 'Home'], [frames[0], '.'], [frames[1], '.']]) {
+      await frame.locator('body').press(key);
+      await page.waitForTimeout(400);
+      const [a, b] = await clocks();
+      expect(a === b, `after ${key} the runs show ${a} and ${b}`);
+    }
+    await page.click('#differences');
+    const status = await page.textContent('#status');
+    await picture(page, 'compare');
+    return { status, clocks: await clocks(), figures: await page.$$eval('[data-figure]', (all) => all.length) };
+  },
   // A breakpoint, a step, going on; by hand.
   async act() {
     const page = await open();
@@ -66,9 +85,7 @@ const scenarios = {
   // Keyboard, phone, dark, what screen readers need.
   async access() {
     const page = await open();
-    await page.addScriptTag({ content: require('fs').readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8') }).catch(() => {});
-    const axe = await page.evaluate(async (source) => { (0, eval)(source); return (await window.axe.run()).violations.filter((v) => ['serious', 'critical'].includes(v.impact)).map((v) => `${v.id}: ${v.nodes.slice(0, 3).map((n) => n.target).join(' ; ')}`); },
-      require('fs').readFileSync(require.resolve('axe-core/axe.min.js'), 'utf8')).catch((error) => [`axe was not run: ${error}`]);
+    const axe = await page.evaluate(async () => (await window.axe.run()).violations.filter((v) => ['serious', 'critical'].includes(v.impact)).map((v) => `${v.id}: ${v.nodes.slice(0, 3).map((n) => n.target).join(' ; ')}`));
     await page.keyboard.press('2');
     expect(await page.getAttribute('#tab-chart', 'aria-selected') === 'true', 'the key 2 shows the chart');
     const state = await page.$('[data-state]:not([data-state=""])');

@@ -154,7 +154,7 @@ struct Bare {
 
 impl Bare {
     async fn start(near: &Session, far: &Session) -> Self {
-        let put_on = keys::trace("alice", "bench").expect("a key");
+        let put_on = keys::live("alice", "bench").expect("a key");
         let ask_on = keys::chart("alice", "bench").expect("a key");
         let heard = near.subscribe(put_on.clone(), 1 << 16).await.expect("a subscription");
         let mut questions = far.declare_queryable(ask_on.clone(), 64).await.expect("a queryable");

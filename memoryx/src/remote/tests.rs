@@ -178,7 +178,7 @@ async fn the_last_changes_are_not_missed() {
     let (mut behind, _) = Follower::from_now(behind, Pattern::segment("Things")).await.unwrap();
     let beside = Arc::new(pair.remote.clone());
     let (mut beside, _) = Follower::from_now(beside, Pattern::any()).await.unwrap();
-    let probe = keys::trace("alice", "probe").unwrap();
+    let probe = keys::live("alice", "probe").unwrap();
     let mut probed = slow.subscribe(probe.clone(), 1).await.unwrap();
     while probed.try_next().is_none() {
         pair.far.put(&probe, "x", Vec::new()).await.unwrap();

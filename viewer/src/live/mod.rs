@@ -1,8 +1,9 @@
 //! The live page: what a run does, thinks and sees, in a browser of this machine, while it goes on or from its recording.
 //!
-//! [`LivePage::open`] serves one page on a thread of its own. What it shows is a [`Timeline`], which the run's recorder writes beside the
-//! recording; the run never waits for a page. News go to all pages as server-sent events, encoded once; a page that is slow misses
-//! some, sees that, and asks for all again. Nobody acts without the page's token, and only where a [`Control`] is given.
+//! [`LivePage::open`] serves one page on a thread of its own. What it shows is a [`ShownRun`]: usually a [`Timeline`], which the run's
+//! recorder writes beside the recording; the run never waits for a page. News go to all pages as server-sent events, encoded once;
+//! a page that is slow misses some, sees that, and asks for all again. Nobody acts without the page's token, and only where a
+//! [`Control`] is given.
 //!
 //! It knows no engine and no simulator: events are JSON with the time, as in a recording.
 
@@ -11,6 +12,7 @@ mod header;
 mod recording;
 mod requests;
 mod server;
+mod shown;
 mod timeline;
 mod track;
 
@@ -18,14 +20,14 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use armarium_values::report::Section;
 use futures::future::BoxFuture;
 use serde::Deserialize;
 use tokio::sync::oneshot;
 
 pub use header::{RunHeader, Solid, SolidForm, solids_of};
-pub use recording::ShowError;
-pub use timeline::Timeline;
+pub use recording::{REPORT, ShowError};
+pub use shown::{NewestImage, PageAnswer, ReportSoFar, ServedTimeline, ShownRun, ShownTimeline};
+pub use timeline::{MEMORY, Timeline};
 
 /// What somebody does to a run through its page.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -75,65 +77,48 @@ pub trait Control: Send + Sync {
     fn is_paused(&self) -> bool;
 }
 
-/// Gives the sections of a run's report as far as they are known.
-pub type ReportSoFar = Arc<dyn Fn() -> Vec<Section> + Send + Sync>;
-
-/// What a page shows, and what it may do.
-#[derive(Default)]
-pub struct LiveConfig {
-    /// The port; 0 is any that is free.
-    pub port: u16,
-    /// The run.
-    pub timeline: Timeline,
-    /// Its report.
-    pub report: Option<ReportSoFar>,
-    /// Who acts; without it, a page only looks.
-    pub control: Option<Arc<dyn Control>>,
-}
-
-impl std::fmt::Debug for LiveConfig {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LiveConfig").field("port", &self.port).finish_non_exhaustive()
-    }
-}
-
 /// A page that is served until this is dropped.
 #[derive(Debug)]
 pub struct LivePage {
     address: SocketAddr,
+    /// Whether it shows two runs.
+    two: bool,
     /// Dropped, it ends the server.
     _ends: oneshot::Sender<()>,
 }
 
 impl LivePage {
-    /// Serves a page on loopback. What is done `beside` runs on the page's thread; it may tell the timeline more.
+    /// Serves a page on loopback: of a run, or of two, beside each other. What is done `beside` runs on the page's thread.
     ///
     /// # Errors
     /// When the port cannot be listened on.
-    pub fn open(config: LiveConfig, beside: Option<BoxFuture<'static, ()>>) -> io::Result<Self> {
-        let listener = std::net::TcpListener::bind((IpAddr::V4(Ipv4Addr::LOCALHOST), config.port))?;
+    pub fn open(
+        port: u16,
+        runs: Vec<Arc<dyn ShownRun>>,
+        beside: Vec<BoxFuture<'static, ()>>,
+    ) -> io::Result<Self> {
+        let two = runs.len() > 1;
+        let listener = std::net::TcpListener::bind((IpAddr::V4(Ipv4Addr::LOCALHOST), port))?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (ends, ended) = oneshot::channel();
         let serving = move || {
             runtime.block_on(async {
-                if let Some(beside) = beside {
-                    tokio::spawn(beside);
-                }
+                beside.into_iter().for_each(|task| _ = tokio::spawn(task));
                 tokio::select! {
                     biased;
                     _ = ended => {}
-                    () = server::serve(listener, address, config) => {}
+                    () = server::serve(listener, address, runs) => {}
                 }
             });
         };
         std::thread::Builder::new().name("live page".into()).spawn(serving)?;
-        Ok(Self { address, _ends: ends })
+        Ok(Self { address, two, _ends: ends })
     }
 
     /// Where the page is.
     pub fn url(&self) -> String {
-        format!("http://{}/", self.address)
+        format!("http://{}/{}", self.address, if self.two { "compare" } else { "" })
     }
 }

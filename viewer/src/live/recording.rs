@@ -15,6 +15,8 @@ use serde_json::Value as Json;
 use super::timeline::Timeline;
 use crate::recorder::{MessageSink as _, RunMessage};
 
+/// The attachment with the sections of the report.
+pub const REPORT: &str = "report.json";
 /// Longest record that is read, bytes.
 const MOST_BYTES: usize = 256 << 20;
 
@@ -90,6 +92,11 @@ impl Reading {
                     if let Ok(known) = serde_json::from_slice(&data) {
                         self.timeline.begin(&known);
                         self.messages += 1;
+                    }
+                }
+                Record::Attachment { header, data, .. } if header.name == REPORT => {
+                    if let Ok(sections) = serde_json::from_slice(&data) {
+                        self.timeline.report(sections);
                     }
                 }
                 _ => {}

@@ -15,11 +15,11 @@ use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::sync::{Semaphore, broadcast};
 
+use super::Action;
 use super::assets::ASSETS;
 use super::requests::{Names, check_token};
-use super::timeline::{Told, text};
-use super::{Action, LiveConfig};
-use crate::report::{fragment, scoped_style};
+use super::shown::{PageAnswer, ShownRun};
+use crate::report::scoped_style;
 
 /// Most connections at a time; more are closed at once.
 const MOST_CONNECTIONS: usize = 128;
@@ -28,15 +28,8 @@ const MOST_HEAD: usize = 16 << 10;
 const MOST_BODY: usize = 64 << 10;
 /// How long the head of a request may take, and an answer that nobody reads.
 const HEAD_WITHIN: Duration = Duration::from_secs(10);
-/// How often pages are told what is new.
-const NEWS: Duration = Duration::from_millis(40);
 /// How often they are told that nothing is.
 const ALIVE: Duration = Duration::from_secs(5);
-/// News that may wait for a slow page.
-const WAITING: usize = 32;
-/// Most points of one curve.
-const MOST_POINTS: usize = 4000;
-
 /// The headers of every answer.
 const HEADERS: [(&str, &str); 5] = [
     ("cache-control", "no-store"),
@@ -45,28 +38,30 @@ const HEADERS: [(&str, &str); 5] = [
     ("cross-origin-resource-policy", "same-origin"),
     (
         "content-security-policy",
-        "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'",
+        "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'",
     ),
 ];
 
 type Body = BoxBody<Bytes, Infallible>;
 
+/// Where the second of two runs is asked for.
+const OTHER: &str = "/other/";
+
 struct Shared {
-    config: LiveConfig,
+    runs: Vec<Arc<dyn ShownRun>>,
     names: Names,
     token: String,
-    /// News for all pages; the same bytes.
-    news: broadcast::Sender<Bytes>,
 }
 
 /// Answers until it is dropped.
-pub(super) async fn serve(listener: std::net::TcpListener, address: SocketAddr, config: LiveConfig) {
+pub(super) async fn serve(
+    listener: std::net::TcpListener,
+    address: SocketAddr,
+    runs: Vec<Arc<dyn ShownRun>>,
+) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
     let Ok(token) = token() else { return };
-    let (news, _) = broadcast::channel(WAITING);
-    let shared = Arc::new(Shared { config, names: Names::of(address), token, news });
-    let accepting = accept(listener, Arc::clone(&shared));
-    tokio::join!(accepting, tell(shared));
+    accept(listener, Arc::new(Shared { runs, names: Names::of(address), token })).await;
 }
 
 /// A text that nobody can guess.
@@ -100,28 +95,12 @@ async fn accept(listener: tokio::net::TcpListener, shared: Arc<Shared>) {
     }
 }
 
-/// Tells all pages what is new, as long as there are any.
-async fn tell(shared: Arc<Shared>) {
-    let mut told = Told::default();
-    let mut tick = tokio::time::interval(NEWS);
-    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
-        tick.tick().await;
-        if shared.news.receiver_count() == 0 {
-            continue;
-        }
-        if let Some(news) = shared.config.timeline.news(&mut told) {
-            let _ = shared.news.send(Bytes::from(format!("data: {}\n\n", news.json())));
-        }
-    }
-}
-
 impl Shared {
     async fn answer(&self, request: Request<Incoming>) -> Response<Body> {
         let mut answer = match self.names.check(request.headers()) {
             Err(refusal) => plain(StatusCode::FORBIDDEN, refusal.to_string()),
             Ok(()) => match *request.method() {
-                Method::GET => self.get(&request),
+                Method::GET => self.get(&request).await,
                 Method::POST => self.post(request).await,
                 _ => plain(StatusCode::METHOD_NOT_ALLOWED, "GET or POST".to_owned()),
             },
@@ -132,87 +111,39 @@ impl Shared {
         answer
     }
 
-    fn get(&self, request: &Request<Incoming>) -> Response<Body> {
-        let (path, query) = (request.uri().path(), request.uri().query().unwrap_or(""));
+    async fn get(&self, request: &Request<Incoming>) -> Response<Body> {
+        let path = request.uri().path();
         if let Some((_, kind, content)) = ASSETS.iter().find(|(known, ..)| *known == path) {
             return body(StatusCode::OK, kind, Bytes::from_static(content.as_bytes()));
         }
-        let asked = |name: &str| field(query, name);
-        let number =
-            |name: &str| asked(name).and_then(|text| text.parse::<f64>().ok()).filter(|n| n.is_finite());
-        let stamp_ns = number("t").map_or(u64::MAX, |t| (t.max(0.0) * 1e9) as u64);
-        let timeline = &self.config.timeline;
-        match path {
-            "/report.css" => body(StatusCode::OK, "text/css; charset=utf-8", Bytes::from(scoped_style())),
-            "/run" => json(self.run()),
-            "/chart" => match timeline.chart(asked("closed").as_deref()) {
-                Some((closed, picture)) => {
-                    let mut answer = body(StatusCode::OK, "image/svg+xml", Bytes::from(picture));
-                    if let Ok(closed) = HeaderValue::from_str(&closed) {
-                        answer.headers_mut().insert("x-closed", closed);
-                    }
-                    answer
-                }
-                None => plain(StatusCode::NOT_FOUND, "the chart of this run is not known".to_owned()),
-            },
-            "/images" => json(text(&timeline.images())),
-            "/news" => self.stream(),
-            "/poses" => json(text(&timeline.poses(stamp_ns))),
-            "/series" => {
-                let (Some(topic), Some(name)) = (asked("topic"), asked("name")) else {
-                    return plain(StatusCode::BAD_REQUEST, "`topic` and `name` are needed".to_owned());
-                };
-                let range = [number("from").unwrap_or(0.0), number("to").unwrap_or(f64::MAX)];
-                let points = (number("points").unwrap_or(800.0).max(1.0) as usize).min(MOST_POINTS);
-                match timeline.series(&topic, &name, range, points / 4) {
-                    Some(pieces) => json(text(&pieces)),
-                    None => plain(StatusCode::NOT_FOUND, format!("the run has no `{name}` on `{topic}`")),
-                }
-            }
-            "/image" => match asked("topic").and_then(|topic| timeline.image(&topic, stamp_ns)) {
-                Some((stamp_ns, jpeg)) => {
-                    let mut answer = body(StatusCode::OK, "image/jpeg", Bytes::from_owner(jpeg));
-                    answer.headers_mut().insert("x-stamp-ns", HeaderValue::from(stamp_ns));
-                    answer
-                }
-                None => plain(StatusCode::NOT_FOUND, "there is no such image".to_owned()),
-            },
-            "/report" => {
-                let sections = self.config.report.as_ref().map(|report| report()).unwrap_or_default();
-                body(StatusCode::OK, "text/html; charset=utf-8", Bytes::from(fragment(&sections)))
-            }
-            _ => plain(StatusCode::NOT_FOUND, "there is nothing here".to_owned()),
+        if path == "/report.css" {
+            return body(StatusCode::OK, "text/css; charset=utf-8", Bytes::from(scoped_style()));
         }
-    }
-
-    /// What a page needs at first, with the token if it may act.
-    fn run(&self) -> String {
-        let all = self.config.timeline.all().json();
-        let token = self.config.control.is_some().then_some(&self.token);
-        let paused = self.config.control.as_ref().is_some_and(|control| control.is_paused());
-        format!("{{\"token\":{},\"paused\":{paused},{}", text(&token), &all[1..])
-    }
-
-    /// Server-sent events, until the page goes or is too slow: it then asks for all again.
-    fn stream(&self) -> Response<Body> {
-        let news = self.news.subscribe();
-        let next = futures::stream::unfold(news, |mut news| async move {
-            let event = match tokio::time::timeout(ALIVE, news.recv()).await {
-                Ok(Ok(event)) => event,
-                Ok(Err(broadcast::error::RecvError::Lagged(_))) => {
-                    Bytes::from_static(b"event: missed\ndata: \n\n")
-                }
-                Ok(Err(broadcast::error::RecvError::Closed)) => return None,
-                Err(_) => Bytes::from_static(b": nothing new\n\n"),
-            };
-            Some((Ok(Frame::data(event)), news))
-        });
-        let stream = StreamBody::new(next).boxed();
-        respond(StatusCode::OK, "text/event-stream", stream)
+        let whole = request.uri().path_and_query().map_or("/", |whole| whole.as_str());
+        let (run, question) = match whole.strip_prefix(OTHER) {
+            Some(question) => (self.runs.get(1), question),
+            None => (self.runs.first(), &whole[1..]),
+        };
+        let Some(run) = run else { return plain(StatusCode::NOT_FOUND, "there is only one run".to_owned()) };
+        if question == "news" {
+            return stream(run.news());
+        }
+        let PageAnswer { status, kind, about, mut content } = run.answer(question).await;
+        if question == "run" && run.may_act() {
+            let token = format!("{{\"token\":\"{}\",", self.token);
+            content.splice(..1, token.bytes());
+        }
+        let status = StatusCode::from_u16(status).unwrap_or(StatusCode::BAD_GATEWAY);
+        let mut answer = body(status, &kind, Bytes::from(content));
+        if let (false, Ok(about)) = (about.is_empty(), HeaderValue::from_str(&about)) {
+            answer.headers_mut().insert("x-about", about);
+        }
+        answer
     }
 
     async fn post(&self, request: Request<Incoming>) -> Response<Body> {
-        let Some(control) = self.config.control.as_ref().filter(|_| request.uri().path() == "/act") else {
+        let Some(run) = self.runs.first().filter(|run| run.may_act() && request.uri().path() == "/act")
+        else {
             let why = "this page only looks: `--live-control` lets it act";
             return plain(StatusCode::FORBIDDEN, why.to_owned());
         };
@@ -229,31 +160,28 @@ impl Shared {
             Ok(action) => action,
             Err(error) => return plain(StatusCode::BAD_REQUEST, format!("this is no action: {error}")),
         };
-        match control.act(action) {
-            Ok(()) => json(format!("{{\"paused\":{}}}", control.is_paused())),
+        match run.act(action) {
+            Ok(paused) => json(format!("{{\"paused\":{paused}}}")),
             Err(refused) => plain(StatusCode::CONFLICT, refused.to_string()),
         }
     }
 }
 
-/// A field of a query, with `%20` and `+` read.
-fn field(query: &str, name: &str) -> Option<String> {
-    let fields = query.split('&').filter_map(|field| field.split_once('='));
-    let (_, value) = fields.into_iter().find(|(known, _)| *known == name)?;
-    let mut bytes = value.bytes();
-    let mut read = Vec::with_capacity(value.len());
-    while let Some(byte) = bytes.next() {
-        read.push(match byte {
-            b'+' => b' ',
-            b'%' => {
-                let digit = |byte: u8| char::from(byte).to_digit(16);
-                let (high, low) = (digit(bytes.next()?)?, digit(bytes.next()?)?);
-                (high * 16 + low) as u8
+/// News as server-sent events, until the page goes or is too slow: it then asks for all again.
+fn stream(news: broadcast::Receiver<Arc<[u8]>>) -> Response<Body> {
+    let next = futures::stream::unfold(news, |mut news| async move {
+        let event = match tokio::time::timeout(ALIVE, news.recv()).await {
+            Ok(Ok(event)) => [b"data: ", &event[..], b"\n\n"].concat().into(),
+            Ok(Err(broadcast::error::RecvError::Lagged(_))) => {
+                Bytes::from_static(b"event: missed\ndata: \n\n")
             }
-            other => other,
-        });
-    }
-    String::from_utf8(read).ok()
+            Ok(Err(broadcast::error::RecvError::Closed)) => return None,
+            Err(_) => Bytes::from_static(b": nothing new\n\n"),
+        };
+        Some((Ok(Frame::data(event)), news))
+    });
+    let stream = StreamBody::new(next).boxed();
+    respond(StatusCode::OK, "text/event-stream", stream)
 }
 
 fn respond(status: StatusCode, kind: &str, body: Body) -> Response<Body> {
@@ -275,18 +203,4 @@ fn json(text: String) -> Response<Body> {
 
 fn plain(status: StatusCode, text: String) -> Response<Body> {
     body(status, "text/plain; charset=utf-8", Bytes::from(text))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fields_of_queries_are_read() {
-        assert_eq!(field("a=1&topic=%2Frobot%2Fwrench&b=", "topic").as_deref(), Some("/robot/wrench"));
-        assert_eq!(field("a=force%5B0%5D+x", "a").as_deref(), Some("force[0] x"));
-        for broken in ["a=%", "a=%f", "a=%zz", "b=1", "a=%ff"] {
-            assert_eq!(field(broken, "a"), None, "{broken}");
-        }
-    }
 }

@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use armarium_runtime::chart::Outline;
+use armarium_values::report::Section;
 use nalgebra::Isometry3;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
@@ -27,12 +28,18 @@ const MOST_EVENT_BYTES: usize = 16 << 20;
 const MOST_TRACKS: usize = 512;
 /// Entities of memory that are kept.
 const MOST_ENTITIES: usize = 2000;
+/// What is kept of one entity's history: versions, and bytes (the newest is kept in any case).
+const MOST_VERSIONS: usize = 100;
+const MOST_VERSION_BYTES: usize = 64 << 10;
 /// Images of one topic that are kept.
 const MOST_IMAGES: usize = 64;
 /// Least time between two samples of numbers, and of poses, ns.
 const PERIOD_NS: [u64; 2] = [20_000_000, 50_000_000];
 /// Numbers of a pose: position, m, and quaternion x, y, z, w.
 const POSE: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
+
+/// The topic of what memory knows: `{"entity": ID, "known": WHAT}`, null for what was removed.
+pub const MEMORY: &str = "/memory";
 
 /// A run as a page shows it; clones are the same.
 #[derive(Clone, Default)]
@@ -49,6 +56,8 @@ pub(super) struct Told {
     pub(super) pose_ns: Option<u64>,
     /// How the run ended.
     pub(super) end: bool,
+    /// Whether time stands still.
+    pub(super) paused: bool,
 }
 
 #[derive(Default)]
@@ -66,11 +75,50 @@ struct Run {
     numbers: BTreeMap<String, Track>,
     poses: BTreeMap<String, Track>,
     images: BTreeMap<String, VecDeque<Jpeg>>,
-    /// By its address: the number of its last change, and what is known, as JSON.
-    entities: BTreeMap<String, (u64, Arc<str>)>,
+    /// By address.
+    entities: BTreeMap<String, Entity>,
     changes: u64,
     /// How it ended.
     ended: Option<Json>,
+    /// The whole report.
+    reported: Option<Arc<[Section]>>,
+}
+
+/// What memory knew of an entity.
+#[derive(Default)]
+struct Entity {
+    /// The number of its last change.
+    changed: u64,
+    /// With the time, ns, as JSON; the oldest go.
+    versions: VecDeque<(u64, Arc<str>)>,
+    bytes: usize,
+}
+
+impl Entity {
+    fn add(&mut self, number: u64, stamp_ns: u64, known: &str) {
+        self.changed = number;
+        self.bytes += known.len();
+        self.versions.push_back((stamp_ns, known.into()));
+        while self.versions.len() > 1
+            && (self.versions.len() > MOST_VERSIONS || self.bytes > MOST_VERSION_BYTES)
+        {
+            let Some((_, oldest)) = self.versions.pop_front() else { break };
+            self.bytes -= oldest.len();
+        }
+    }
+
+    /// What was known of it at a time, ns.
+    fn at(&self, stamp_ns: u64) -> Option<&Arc<str>> {
+        let before = self.versions.partition_point(|(stamp, _)| *stamp <= stamp_ns);
+        self.versions.get(before.checked_sub(1)?).map(|(_, known)| known)
+    }
+}
+
+/// A change of memory as it is recorded.
+#[derive(Deserialize)]
+struct Change {
+    entity: String,
+    known: Json,
 }
 
 /// An image of a time, ns.
@@ -173,31 +221,48 @@ impl Timeline {
         how_it_ended(self.0.lock().events.iter().map(|(_, text)| text))
     }
 
-    /// What memory knows of an entity now; `None` when it was removed.
-    pub fn remember(&self, id: &str, known: Option<&Json>) {
-        let known = known.unwrap_or(&Json::Null).to_string();
-        let mut run = self.0.lock();
-        let number = run.changes;
-        if run.entities.len() < MOST_ENTITIES || run.entities.contains_key(id) {
-            run.changes += 1;
-            run.entities.insert(id.to_owned(), (number, known.into()));
-        }
+    /// Gives the whole report.
+    pub fn report(&self, sections: Vec<Section>) {
+        self.0.lock().reported = Some(sections.into());
+    }
+
+    /// The whole report, if it is known.
+    pub(super) fn reported(&self) -> Option<Arc<[Section]>> {
+        self.0.lock().reported.clone()
+    }
+
+    /// What memory knew at a time, ns: by address, as JSON.
+    pub(super) fn memory(&self, stamp_ns: u64) -> String {
+        let run = self.0.lock();
+        let known = run.entities.iter().filter_map(|(id, entity)| Some((id, entity.at(stamp_ns)?)));
+        let known: Vec<String> = known.map(|(id, known)| format!("{}:{known}", text(id))).collect();
+        format!("{{{}}}", known.join(","))
+    }
+
+    /// What was known of an entity: a list of times, s, and JSON.
+    pub(super) fn history(&self, id: &str) -> Option<String> {
+        let run = self.0.lock();
+        let versions = run.entities.get(id)?.versions.iter();
+        let versions: Vec<String> =
+            versions.map(|(stamp, known)| format!("[{},{known}]", *stamp as f64 * 1e-9)).collect();
+        Some(format!("[{}]", versions.join(",")))
     }
 
     /// All that a page needs at first, and what it has been told with it.
-    pub(super) fn all(&self) -> Update {
+    pub(super) fn all(&self, paused: bool) -> Update {
         let run = self.0.lock();
         let numbers = run.numbers.iter().map(|(topic, track)| (topic.clone(), track.names.clone())).collect();
         let images = run.images.keys().cloned().collect();
         let first = First { header: run.header.clone(), active: run.active.clone(), numbers, images };
-        Update { first: Some(first), ..run.since(&Told::default()) }
+        let all = run.since(&Told::default());
+        Update { first: Some(first), told: Told { paused, ..all.told }, ..all }
     }
 
     /// What is new since `told`, which goes on to now; `None` if nothing is.
-    pub(super) fn news(&self, told: &mut Told) -> Option<Update> {
+    pub(super) fn news(&self, told: &mut Told, paused: bool) -> Option<Update> {
         let run = self.0.lock();
-        let before = std::mem::replace(told, run.told());
-        (before != *told).then(|| run.since(&before))
+        let before = std::mem::replace(told, Told { paused, ..run.told() });
+        (before != *told).then(|| Update { told: *told, ..run.since(&before) })
     }
 
     /// Where everything was at a time, ns.
@@ -261,6 +326,7 @@ impl Run {
             change: self.changes,
             pose_ns: self.poses.values().filter_map(|track| Some(track.last()?.0)).max(),
             end: self.ended.is_some(),
+            paused: false,
         }
     }
 
@@ -279,7 +345,9 @@ impl Run {
     /// What a page has not been told yet.
     fn since(&self, before: &Told) -> Update {
         let skipped = usize::try_from(before.event.saturating_sub(self.first)).unwrap_or(usize::MAX);
-        let changed = self.entities.iter().filter(|(_, (number, _))| *number >= before.change);
+        let changed = self.entities.iter().filter(|(_, entity)| entity.changed >= before.change);
+        let newest =
+            |(id, entity): (&String, &Entity)| Some((id.clone(), Arc::clone(&entity.versions.back()?.1)));
         let last = |(topic, track): (&String, &Track)| Some((topic.clone(), track.last()?.1.to_vec()));
         Update {
             first: None,
@@ -288,7 +356,7 @@ impl Run {
             events: self.events.iter().skip(skipped).cloned().collect(),
             poses: self.poses_at(u64::MAX, before.pose_ns),
             last: self.numbers.iter().filter_map(last).collect(),
-            entities: changed.map(|(id, (_, known))| (id.clone(), Arc::clone(known))).collect(),
+            entities: changed.filter_map(newest).collect(),
             ended: self.ended.clone(),
             told: self.told(),
         }
@@ -309,6 +377,16 @@ impl Run {
             self.event_bytes -= oldest.1.len();
             self.first += 1;
         }
+    }
+
+    fn change(&mut self, stamp_ns: u64, text: &str) {
+        let Ok(Change { entity, known }) = serde_json::from_str(text) else { return };
+        if self.entities.len() >= MOST_ENTITIES && !self.entities.contains_key(&entity) {
+            return;
+        }
+        let number = self.changes;
+        self.changes += 1;
+        self.entities.entry(entity).or_default().add(number, stamp_ns, &known.to_string());
     }
 
     fn pose(&mut self, topic: &str, stamp_ns: u64, pose: &Isometry3<f64>) {
@@ -403,6 +481,7 @@ impl MessageSink for Timeline {
         run.now_ns = run.now_ns.max(stamp_ns);
         match *message {
             RunMessage::Json { topic: "/chart/events", text } => run.event(stamp_ns, text),
+            RunMessage::Json { topic: MEMORY, text } => run.change(stamp_ns, text),
             RunMessage::Json { topic, text } => run.json(topic, stamp_ns, text),
             RunMessage::Pose { topic, pose } => run.pose(topic, stamp_ns, pose),
             RunMessage::Joints { names, position, .. } => {
@@ -432,16 +511,20 @@ mod tests {
         let timeline = Timeline::default();
         event(&timeline, 1, "entered", "Long");
         let mut told = Told::default();
-        assert!(timeline.news(&mut told).unwrap().events[0].1.contains("Long"));
-        assert!(timeline.news(&mut told).is_none());
+        assert!(timeline.news(&mut told, false).unwrap().events[0].1.contains("Long"));
+        assert!(timeline.news(&mut told, false).is_none());
         for k in 0..MOST_EVENTS as u64 {
             event(&timeline, 2 + k, "entered", "Short");
             event(&timeline, 2 + k, "exited", "Short");
         }
-        let all = timeline.all();
+        let all = timeline.all(false);
         assert_eq!((all.events.len(), all.from), (MOST_EVENTS, MOST_EVENTS as u64 + 1));
         assert_eq!(all.first.as_ref().unwrap().active, BTreeMap::from([("Long".to_owned(), 1)]));
-        assert_eq!(timeline.news(&mut told).unwrap().from, all.from, "it sees that it has missed some");
+        assert_eq!(
+            timeline.news(&mut told, false).unwrap().from,
+            all.from,
+            "it sees that it has missed some"
+        );
     }
 
     #[test]
@@ -449,7 +532,7 @@ mod tests {
         let timeline = Timeline::default();
         let text = r#"{"force":[1.5,2,null],"held":true,"deep":{"x":-1}}"#;
         timeline.take(5, &RunMessage::Json { topic: "/robot/wrench", text });
-        let all = timeline.all();
+        let all = timeline.all(false);
         assert_eq!(all.first.unwrap().numbers["/robot/wrench"], ["deep.x", "force[0]", "force[1]", "held"]);
         assert_eq!(
             timeline.series("/robot/wrench", "force[0]", [0.0, 1.0], 10),

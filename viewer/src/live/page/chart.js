@@ -16,11 +16,12 @@ export function chartView(panel) {
 
   async function draw() {
     const query = closed === null ? '' : `?closed=${encodeURIComponent([...closed].join(','))}`;
-    const answer = await fetch(`/chart${query}`);
+    const answer = await fetch(`chart${query}`);
     if (!answer.ok) { field.replaceChildren(text('p', await answer.text(), { className: 'dim' })); return; }
-    if (closed === null) closed = new Set((answer.headers.get('x-closed') ?? '').split(',').filter(Boolean));
+    if (closed === null) closed = new Set((answer.headers.get('x-about') ?? '').split(',').filter(Boolean));
     field.innerHTML = await answer.text();
     svg = field.querySelector('svg');
+    svg.setAttribute('role', 'group');
     boxes = new Map([...svg.querySelectorAll('[data-state]')].map((box) => [box.dataset.state, box]));
     for (const [path, box] of boxes) {
       box.setAttribute('tabindex', '0'); box.setAttribute('role', 'button'); box.setAttribute('aria-label', `state ${path || 'the chart'}`);
@@ -85,11 +86,15 @@ export function chartView(panel) {
     for (const path of leaves) {
       const box = boxes.get(path), from = states.get(path);
       if (!box || from === undefined || !path) continue;
-      const { x, y, width, height } = box.getBBox();
-      const label = document.createElementNS('http://www.w3.org/2000/svg', 'text');
-      Object.entries({ x: x + width - 4, y: y + height - 4, 'text-anchor': 'end', class: 'since' }).forEach(([name, set]) => label.setAttribute(name, set));
-      label.textContent = `${(shownTime() - from).toFixed(1)} s`;
-      svg.append(label);
+      const { x, y, width } = box.getBBox(), make = (tag, set, content = '') => {
+        const made = document.createElementNS('http://www.w3.org/2000/svg', tag);
+        Object.entries(set).forEach(([name, to]) => made.setAttribute(name, to));
+        made.textContent = content; svg.append(made); return made;
+      };
+      // On the upper edge of the box, where nothing is written.
+      const words = `${(shownTime() - from).toFixed(1)} s`, wide = words.length * 6.4 + 8, right = x + width - 6;
+      make('rect', { x: right - wide, y: y - 8, width: wide, height: 15, rx: 7, class: 'since back' });
+      make('text', { x: right - wide / 2, y: y + 3, 'text-anchor': 'middle', class: 'since' }, words);
     }
   }
 

@@ -10,7 +10,7 @@ export function reportView(panel) {
     if (panel.hidden || asking || performance.now() - last < 2000) return;
     asking = true;
     try {
-      const answer = await fetch('/report');
+      const answer = await fetch('report');
       const { scrollTop } = fill;
       fill.innerHTML = await answer.text() || '<p class="dim">Nothing to report yet.</p>';
       fill.scrollTop = scrollTop;

@@ -13,11 +13,16 @@ const tell = (what) => listeners.forEach((call) => call(what));
 export const shownTime = () => run.cursor ?? run.now;
 export const isLive = () => run.cursor === null;
 
-export function showTime(time) {
+export function showTime(time, told = false) {
   run.cursor = time === null || time >= run.now && run.ended === null ? null : Math.max(0, Math.min(time, run.now));
   if (run.cursor !== null) askPoses(run.cursor); else run.shown = run.poses;
   tell(new Set(['cursor']));
+  // Two runs beside each other show the same time.
+  if (!told && window.parent !== window) window.parent.postMessage({ time: run.cursor }, location.origin);
 }
+window.addEventListener('message', ({ origin, source, data }) => {
+  if (origin === location.origin && source === window.parent && source !== window && 'time' in data) showTime(data.time ?? run.now, true);
+});
 
 let asked = null, asking = false;
 async function askPoses(time) {
@@ -26,7 +31,7 @@ async function askPoses(time) {
   asking = true;
   while (asked !== null) {
     const at = asked; asked = null;
-    try { run.shown = await (await fetch(`/poses?t=${at}`)).json(); tell(new Set(['poses'])); } catch { /* The program has ended. */ }
+    try { run.shown = await (await fetch(`poses?t=${at}`)).json(); tell(new Set(['poses'])); } catch { /* The program has ended. */ }
   }
   asking = false;
 }
@@ -72,14 +77,15 @@ function takeNews(news) {
   run.now = news.now_ns * 1e-9;
   Object.assign(run.poses, news.poses); if (isLive()) run.shown = run.poses;
   run.last = news.last;
+  if (run.paused !== news.told.paused) { run.paused = news.told.paused; what.add('paused'); }
   for (const [id, known] of Object.entries(news.entities)) { if (known) run.entities.set(id, known); else run.entities.delete(id); what.add('memory'); }
   if (news.ended && !run.ended) { run.ended = news.ended; what.add('ended'); load(); }
   tell(what);
 }
 
 export async function load() {
-  const all = await (await fetch('/run')).json();
-  const { header, active, numbers, images, entities, ended, token, paused } = all;
+  const all = await (await fetch('run')).json();
+  const { header, active, numbers, images, entities, ended, token, told: { paused } } = all;
   Object.assign(run, { header, numbers, images, ended, token, paused, events: [], from: all.from, spans: [], active: new Map(), open: new Map(),
     now: all.now_ns * 1e-9, poses: all.poses, last: all.last, entities: new Map(Object.entries(entities).filter(([, known]) => known)) });
   // What was entered before the first event that is kept.
@@ -94,21 +100,21 @@ export async function load() {
 export async function connect() {
   await load();
   if (run.ended) return;
-  const channel = 'BroadcastChannel' in window ? new BroadcastChannel(`armarium ${location.host}`) : null;
+  const channel = 'BroadcastChannel' in window ? new BroadcastChannel(`armarium ${location.host}${location.pathname}`) : null;
   if (channel) channel.onmessage = ({ data }) => (data === 'missed' ? load() : takeNews(JSON.parse(data)));
   const lead = () => new Promise((done) => {
-    const source = new EventSource('/news');
+    const source = new EventSource('news');
     source.onopen = () => { run.connected = true; tell(new Set(['connection'])); load(); };
     source.onmessage = ({ data }) => { channel?.postMessage(data); takeNews(JSON.parse(data)); if (run.ended) { source.close(); done(); } };
     source.addEventListener('missed', () => { channel?.postMessage('missed'); load(); });
     source.onerror = () => { run.connected = false; tell(new Set(['connection'])); };
   });
   run.connected = true;
-  if (navigator.locks) navigator.locks.request(`armarium ${location.host}`, lead); else lead();
+  if (navigator.locks) navigator.locks.request(`armarium ${location.host}${location.pathname}`, lead); else lead();
 }
 
 export async function act(action) {
-  const answer = await fetch('/act', { method: 'POST', headers: { 'x-armarium-token': run.token ?? '' }, body: JSON.stringify(action) });
+  const answer = await fetch('act', { method: 'POST', headers: { 'x-armarium-token': run.token ?? '' }, body: JSON.stringify(action) });
   if (answer.ok) { run.paused = (await answer.json()).paused; run.error = null; } else run.error = await answer.text();
   tell(new Set(['acted']));
 }

@@ -78,7 +78,7 @@ export function timeView(panel) {
     wanted = performance.now();
     const [from, to] = ends(), points = Math.max(100, fill.clientWidth);
     await Promise.all(curves.map(async (curve) => {
-      const answer = await fetch(`/series?${new URLSearchParams({ topic: curve.topic, name: curve.name, from, to, points })}`);
+      const answer = await fetch(`series?${new URLSearchParams({ topic: curve.topic, name: curve.name, from, to, points })}`);
       if (answer.ok) curve.pieces = await answer.json();
     }));
     later();

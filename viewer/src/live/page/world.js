@@ -134,11 +134,11 @@ export function worldView(panel) {
   // The camera's images, as the recording has them.
   let looked = -Infinity;
   async function look(force) {
-    if (panel.hidden || (!force && performance.now() - looked < 400)) return;
+    if (panel.hidden || (!force && performance.now() - looked < 200)) return;
     looked = performance.now();
     pictures.hidden = !images;
     if (!images) return;
-    if (isLive() && !run.images.length && run.now > 0) { try { run.images = (await (await fetch('/images')).json()); } catch { return; } }
+    if (isLive() && !run.images.length && run.now > 0) { try { run.images = (await (await fetch('images')).json()); } catch { return; } }
     for (const topic of run.images) {
       let figure = [...pictures.children].find((each) => each.dataset.topic === topic);
       if (!figure) {
@@ -146,9 +146,9 @@ export function worldView(panel) {
         figure.append(Object.assign(document.createElement('img'), { alt: `What ${topic} saw` }), document.createElement('figcaption')); pictures.append(figure);
       }
       try {
-        const answer = await fetch(`/image?${new URLSearchParams({ topic, t: isLive() ? 1e9 : shownTime() })}`);
+        const answer = await fetch(`image?${new URLSearchParams(isLive() ? { topic } : { topic, t: shownTime() })}`);
         if (!answer.ok) continue;
-        const stamp = answer.headers.get('x-stamp-ns');
+        const stamp = answer.headers.get('x-about');
         if (figure.dataset.stamp === stamp) continue;
         const [image, old] = [figure.querySelector('img'), figure.querySelector('img').src];
         figure.dataset.stamp = stamp; image.src = URL.createObjectURL(await answer.blob());
