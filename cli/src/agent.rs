@@ -56,6 +56,12 @@ pub(crate) struct AgentArgs {
     pub(crate) store: PathBuf,
     #[command(flatten)]
     pub(crate) kept: KeepArgs,
+    /// Serve a page of this machine that shows the agent: its robot, its memory, the chart of `--run`.
+    #[arg(long)]
+    pub(crate) live: bool,
+    /// The port of that page; 0 is any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = 0, requires = "live")]
+    pub(crate) live_port: u16,
     /// Show what happens as lines of text.
     #[arg(short, long)]
     pub(crate) verbose: bool,
@@ -94,6 +100,7 @@ fn config(args: &AgentArgs) -> Result<AgentConfig, String> {
     config.retention = args.kept.retention()?;
     config.session = args.connection.config().map_err(|error| explained(&error))?;
     config.access = args.access.of(&args.name);
+    config.live_port = args.live.then_some(args.live_port);
     Ok(config)
 }
 

@@ -89,6 +89,10 @@ pub(crate) struct RunArgs {
     /// The port of the page; 0 is any that is free.
     #[arg(long, value_name = "PORT", default_value_t = 0)]
     pub(crate) live_port: u16,
+    /// Serve the topics of the recording to Foxglove on this port of this machine (0: one that is free); its address is printed.
+    #[cfg(feature = "foxglove")]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    pub(crate) foxglove: Option<u16>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
@@ -177,6 +181,8 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         largest_recording: args.largest_recording,
         live: (args.live || args.live_control || args.live_hold)
             .then_some(LiveOptions { port: args.live_port, control: args.live_control }),
+        #[cfg(feature = "foxglove")]
+        foxglove_port: args.foxglove,
         ..RunConfig::new(&args.chart)
     };
     let console: Arc<dyn Console> =

@@ -287,7 +287,7 @@ fn a_browser_shows_two_recordings_beside_each_other() {
     let file = |report: &str| folder.path().join(report).join("run.mcap").display().to_string();
     let view = View::start(&[&file("one"), &file("two")]);
     let Some(found) = play("compare", &view.url) else { return };
-    assert!(found["status"].as_str().unwrap().contains("the same 2 transitions"), "{found}");
+    assert!(found["status"].as_str().unwrap().contains("the same 3 transitions"), "{found}");
 }
 
 #[test]
@@ -304,6 +304,7 @@ fn a_browser_follows_a_run_of_another_agent() {
 fn a_browser_pauses_steps_and_goes_on() {
     let run = Run::start(SWINGS, &["--live-control", "--live-hold"]);
     let Some(found) = play("act", &run.url) else { return };
+    assert!(found["stopped"].as_array().unwrap().contains(&"Swing.Back".into()), "{found}");
     assert_eq!(found["outcome"], "success");
 }
 
@@ -312,4 +313,7 @@ fn the_page_is_for_everybody() {
     let run = Run::start(FAILS, &["--live-hold"]);
     let Some(found) = play("access", &run.url) else { return };
     assert_eq!(found["axe"], serde_json::json!([]), "axe finds nothing serious");
+    let problem = found["problem"].as_str().unwrap();
+    assert!(problem.contains("4949 mm") && problem.contains("Outer.Inner < Outer < Fails"), "{problem}");
+    assert!(found["failed"].as_array().unwrap().contains(&"Outer.Inner".into()), "{found}");
 }

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use armarium_bus::{KeyError, Session, SessionConfig, SessionError};
 use armarium_memoryx::{AgentMemory, FollowingAgent, agent_pose_update};
 use armarium_runtime::channels::Channels;
-use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop};
+use armarium_runtime::chart::{self, Outline, Registry};
+use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop, TraceSink};
 use armarium_runtime::program::Program;
 use armarium_runtime::remote::{Agents, Offers, receive_events, serve};
 use armarium_runtime::skill::Limits;
@@ -26,8 +26,11 @@ use crate::catalog;
 use crate::connection::{Connection, take_name};
 use crate::console::Console;
 use crate::error::HostError;
+use crate::live::{self, RecordedEvents, ServiceView};
 use crate::names::Names;
+use crate::recording::{SharedRecorder, record_robot};
 use crate::remote_eyes;
+use crate::side_tasks;
 use crate::simulated::{StagedRobot, memory_of_agent};
 
 /// Serves until `until` completes or the agent's own chart has ended; then returns the chart's result, if any.
@@ -47,10 +50,10 @@ pub fn run_agent(
     let connection = Connection::open(&session)?;
     let agents = connection.agents(&config.name);
     // Simulation, skills and charts share the session's threads; a busy one does not delay answers.
-    connection.runtime().block_on(live(config, connection.session(), &agents, console, until))
+    connection.runtime().block_on(serve_agent(config, connection.session(), &agents, console, until))
 }
 
-async fn live(
+async fn serve_agent(
     config: &AgentConfig,
     session: &Session,
     agents: &Agents,
@@ -93,22 +96,49 @@ async fn live(
     let cameras = StereoProvider::new(Arc::clone(&backend.equipment.images), frame);
     let _cameras = offer_images(session, &config.name, Arc::new(cameras)).await?;
     console.world_begins(Arc::clone(&backend.clock));
-    let ended = act(config, (session, agents), backend, until, console).await?;
+    let view = match config.live_port {
+        Some(port) => Some(show(port, config, (session, &memory), &backend, console).await?),
+        None => None,
+    };
+    let recorder = view.as_ref().map(|view| view.recorder.clone());
+    let ended = act(config, (session, agents), (backend, recorder), until, console).await?;
     if let Err(error) = memory.flush() {
         console.note(&format!("warning: what was learned was not kept: {error}"));
     }
     Ok(ended)
 }
 
+/// Opens the agent's live page: its robot, its memory, and the chart that it runs itself.
+async fn show(
+    port: u16,
+    config: &AgentConfig,
+    (session, memory): (&Session, &AgentMemory),
+    backend: &Backend,
+    console: &dyn Console,
+) -> Result<ServiceView, HostError> {
+    let chart = config.run.as_deref().map(|chart| live::outline_of(chart, &config.charts));
+    let outline = chart.unwrap_or(Outline { states: Vec::new(), transitions: Vec::new() });
+    let (robot, known) = (&backend.equipment.robot, (&backend.registry, backend.equipment.robot.model()));
+    let title = (config.name.as_str(), format!("the robot `{}`", robot.model().name()));
+    let view = ServiceView::open(port, title, outline, (known.0, known.1.as_ref()), session, console).await?;
+    let recorder = || view.recorder.clone();
+    // Both end with what they record.
+    record_robot(robot, side_tasks::sensor_of(&backend.equipment), recorder());
+    let clock = Arc::clone(&backend.clock);
+    tokio::spawn(side_tasks::record_memory(Arc::clone(memory.memory()), recorder(), clock));
+    Ok(view)
+}
+
 /// Offers charts and skills, and runs the agent's own chart, until the agent is to end.
 async fn act(
     config: &AgentConfig,
     (session, agents): (&Session, &Agents),
-    backend: Backend,
+    (backend, recorder): (Backend, Option<SharedRecorder>),
     until: impl Future<Output = ()>,
     console: &dyn Console,
 ) -> Result<Option<RunResult>, HostError> {
-    let Backend { equipment, registry, task, observes, .. } = backend;
+    let Backend { equipment, registry, task, observes, clock } = backend;
+    let sink = recorder.map(|recorder| Box::new(RecordedEvents { recorder, clock }) as Box<dyn TraceSink>);
     let mut registry = registry.with_names(Arc::new(Names::of_agent(equipment.robot.model())));
     let channels = Channels::new().with_memory(observers::memory(&equipment));
     let robot = Arc::clone(&equipment.robot);
@@ -132,7 +162,7 @@ async fn act(
         None => None,
         Some(file) => {
             let program = load(file, config, &mut registry, agents, console).await?;
-            Some(execute(program, registry.clone(), &channels, (&stop, &peers))?)
+            Some(execute(program, registry.clone(), &channels, (&stop, &peers), sink)?)
         }
     };
     introduce(config, session, &charts, &skills, console).await;
@@ -180,10 +210,12 @@ fn execute(
     registry: Registry,
     channels: &Channels,
     (stop, peers): (&Stop, &Peers),
+    sink: Option<Box<dyn TraceSink>>,
 ) -> Result<Executor, HostError> {
     let stop = Arc::clone(stop);
     let options = ExecOptions {
         limits: Limits::default(),
+        sink,
         on_stuck: Some(Box::new(move |state| stop(state))),
         peers: peers.clone(),
         ..ExecOptions::default()

@@ -41,6 +41,8 @@ pub struct AgentConfig {
     pub access: Option<Access>,
     /// Additional skills.
     pub skills: Vec<SkillFactory>,
+    /// The port of this machine on which its live page is served, 0 for any that is free; `None` serves none.
+    pub live_port: Option<u16>,
 }
 
 impl AgentConfig {
@@ -61,6 +63,7 @@ impl AgentConfig {
             session: SessionConfig::default(),
             access: None,
             skills: Vec::new(),
+            live_port: None,
         }
     }
 }

@@ -55,6 +55,7 @@ pub use connection::Connection;
 pub use console::{Console, Silent, WorldClock};
 pub use driven::RobotAt;
 pub use error::HostError;
+pub use live::OpenPage;
 pub use live_service::RemoteRun;
 pub use robot_service::RobotService;
 pub use run::{RunEnded, run};

@@ -4,10 +4,14 @@
 //! changes nothing of a run in virtual time; in real time there is none.
 
 use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
+use armarium_bus::Session;
+use armarium_robot::Model;
 use armarium_runtime::chart::{self, Outline, Registry};
-use armarium_runtime::exec::Controller;
+use armarium_runtime::exec::{Controller, TraceSink};
 use armarium_runtime::trace::{TraceEvent, TraceItem};
 use armarium_simulator::render::{Shape, VisibleForm};
 use armarium_simulator::{Simulation, TruthSample, TruthSink, World};
@@ -15,24 +19,28 @@ use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::chart::{Unfold, unfold};
 use armarium_viewer::live::{
-    Action, ActionRefused, Control, LivePage, NewestImage, RunHeader, ShownRun, ShownTimeline, Solid,
-    SolidForm, Timeline, solids_of,
+    Action, ActionRefused, Control, LivePage, NewestImage, RunHeader, ServedTimeline, ShownRun,
+    ShownTimeline, Solid, SolidForm, Timeline, solids_of,
 };
+use armarium_viewer::recorder::Recorder;
 use armarium_visionx::StereoFrame;
 use futures::FutureExt as _;
 use parking_lot::{Condvar, Mutex};
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::connection::Connection;
-use crate::console::Console;
+use crate::console::{Console, WorldClock};
 use crate::error::HostError;
 use crate::frame_sampler::{FrameSampler, LEFT_EYE};
 use crate::live_service::LiveOffer;
+use crate::network::Network;
 use crate::recording::SharedRecorder;
 use crate::run_config::{LiveOptions, RunConfig};
 
 /// Topic of what somebody did through the page.
 const ACTIONS: &str = "/live/actions";
+/// How long the end of a run may take to reach who looks.
+const END_WITHIN: Duration = Duration::from_millis(500);
 /// The frame of the coach's hand or tool, as the recording names it.
 const COACH: &str = "coach";
 /// How large the coach's hand is shown, m, and its colour.
@@ -42,8 +50,34 @@ const HAND: (f32, [u8; 3]) = (0.045, [224, 172, 138]);
 pub(crate) struct Live {
     pub(crate) timeline: Timeline,
     pub(crate) gate: Gate,
-    pub(crate) page: Option<Arc<LivePage>>,
-    offered: Option<LiveOffer>,
+    open: Option<OpenPage>,
+}
+
+/// A run's page while it is open, here and for agents elsewhere.
+pub struct OpenPage {
+    run: Arc<ServedTimeline>,
+    page: LivePage,
+    _offer: Option<LiveOffer>,
+    /// What carries it to others.
+    network: Option<Network>,
+}
+
+impl std::fmt::Debug for OpenPage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("OpenPage").field("url", &self.url()).finish_non_exhaustive()
+    }
+}
+
+impl OpenPage {
+    /// Where it is.
+    pub fn url(&self) -> String {
+        self.page.url()
+    }
+
+    /// Others see it as long as this lives.
+    pub(crate) fn keep(&mut self, network: Network) {
+        self.network = Some(network);
+    }
 }
 
 /// Holds up a run's thread while somebody wants time to stand still; clones are the same gate.
@@ -150,15 +184,15 @@ impl Control for Acting {
                 self.gate.change(|state| state.stops = states.into_iter().collect());
             }
             Action::Event { name, data } => {
-                let data = Value::from_json(&data);
-                if !self.controller.raise(name.clone(), data) {
+                // The run may end with it.
+                self.note(format!("event {name}"));
+                if !self.controller.raise(name, Value::from_json(&data)) {
                     return refused("the queue of events is full, or the run has ended");
                 }
-                self.note(format!("event {name}"));
             }
             Action::Stop => {
-                self.controller.stop("stopped through the live page");
                 self.note("stop".into());
+                self.controller.stop("stopped through the live page");
                 self.gate.change(|state| state.closed = false);
             }
             _ => return refused("this program does not know the action"),
@@ -175,7 +209,7 @@ impl Live {
     /// Nothing is shown yet. The gate goes into the simulation.
     pub(crate) fn prepare(config: &RunConfig) -> Option<Self> {
         config.live.as_ref()?;
-        Some(Self { timeline: Timeline::default(), gate: Gate::default(), page: None, offered: None })
+        Some(Self { timeline: Timeline::default(), gate: Gate::default(), open: None })
     }
 
     /// Opens the page, and says where it is. Others see it too, if the run has a name by which they reach it. Returns what has
@@ -204,40 +238,105 @@ impl Live {
             }) as Arc<dyn Control>
         });
         let run = ShownTimeline { timeline: self.timeline.clone(), control, ..shown }.served();
-        if let Some((connection, agent)) = others {
-            self.offered = Some(LiveOffer::start(connection, agent, Arc::clone(&run)).await?);
-        }
+        let offer = match others {
+            Some((connection, agent)) => {
+                let reached = (connection.session(), connection.runtime().handle());
+                Some(LiveOffer::start(reached, agent, Arc::clone(&run)).await?)
+            }
+            None => None,
+        };
         let (telling, gate) = (Arc::clone(&run), self.gate.clone());
         let beside = vec![async move { telling.tell().await }.boxed(), open_at_signals(gate).boxed()];
-        let page = LivePage::open(options.port, vec![run as Arc<dyn ShownRun>], beside)
+        let shown = vec![Arc::clone(&run) as Arc<dyn ShownRun>];
+        let page = LivePage::open(options.port, shown, beside)
             .map_err(|source| HostError::Live { port: options.port, source })?;
         console.page(&page.url());
-        self.page = Some(Arc::new(page));
+        self.open = Some(OpenPage { run, page, _offer: offer, network: None });
         Ok(acted)
     }
 
-    /// The run has ended: nothing holds it up any more.
-    pub(crate) fn end(&self, ended: serde_json::Value) {
+    /// The run has ended: nothing holds it up any more. Who looks is told, before the program ends.
+    pub(crate) fn end(self, ended: serde_json::Value) -> Option<OpenPage> {
         self.gate.change(|state| state.ended = true);
         self.timeline.end(ended);
+        if let Some(open) = &self.open {
+            open.run.wait_until_told(END_WITHIN);
+        }
+        self.open
     }
 }
 
-/// What does not change during a run, for its page and its recording.
-pub(crate) fn header(
-    config: &RunConfig,
-    subtitle: String,
-    registry: &Registry,
-    equipment: &Equipment,
-    simulation: Option<&Simulation>,
-    bodies: &[String],
-) -> RunHeader {
-    let library = chart::load(&config.chart, &config.charts);
+/// The page of something that serves others until it is ended, such as an agent: what is recorded of it goes to the page alone.
+pub(crate) struct ServiceView {
+    pub(crate) recorder: SharedRecorder,
+    _page: LivePage,
+    _offer: LiveOffer,
+}
+
+impl ServiceView {
+    /// Opens the page, and says where it is; others see it by the agent's name. It has to be called on the session's threads.
+    ///
+    /// # Errors
+    /// [`HostError::Live`] when the port cannot be listened on; the errors of the session.
+    pub(crate) async fn open(
+        port: u16,
+        (title, subtitle): (&str, String),
+        outline: Outline,
+        (manifests, model): (&Registry, &Model),
+        session: &Session,
+        console: &dyn Console,
+    ) -> Result<Self, HostError> {
+        let timeline = Timeline::default();
+        timeline.begin(&RunHeader::new((title, subtitle), outline, manifests.manifests(), solids_of(model)));
+        let recorder = SharedRecorder::default();
+        recorder.begin(Recorder::without_file(Arc::new(timeline.clone()))?);
+        let run = ShownTimeline { timeline, ..ShownTimeline::default() }.served();
+        let threads = tokio::runtime::Handle::current();
+        let offer = LiveOffer::start((session, &threads), title, Arc::clone(&run)).await?;
+        let telling = Arc::clone(&run);
+        let beside = vec![async move { telling.tell().await }.boxed()];
+        let page = LivePage::open(port, vec![run as Arc<dyn ShownRun>], beside)
+            .map_err(|source| HostError::Live { port, source })?;
+        console.page(&page.url());
+        Ok(Self { recorder, _page: page, _offer: offer })
+    }
+}
+
+/// Records the events of an agent's own chart.
+pub(crate) struct RecordedEvents {
+    pub(crate) recorder: SharedRecorder,
+    pub(crate) clock: WorldClock,
+}
+
+impl TraceSink for RecordedEvents {
+    fn record(&mut self, event: &TraceEvent) {
+        if let Ok(json) = serde_json::to_value(event) {
+            self.recorder.write(|recorder| recorder.event((self.clock)(), &json));
+        }
+    }
+}
+
+/// The outline of a chart with those that it uses unfolded; empty if it cannot be read.
+pub(crate) fn outline_of(chart: &Path, folders: &[PathBuf]) -> Outline {
+    let library = chart::load(chart, folders);
     let mut outline = Outline { states: Vec::new(), transitions: Vec::new() };
     if let Some(root) = library.charts.get(&library.root) {
         outline = Outline::of(root);
         unfold(&mut outline, &library.charts, &Unfold::All);
     }
+    outline
+}
+
+/// What does not change during a run, for its page and its recording.
+pub(crate) fn header(
+    config: &RunConfig,
+    (title, subtitle): (&str, String),
+    registry: &Registry,
+    equipment: &Equipment,
+    simulation: Option<&Simulation>,
+    bodies: &[String],
+) -> RunHeader {
+    let outline = outline_of(&config.chart, &config.charts);
     let mut solids = solids_of(equipment.robot.model());
     if let Some(simulation) = simulation {
         let (fixed, moving) = simulation.shapes();
@@ -249,7 +348,7 @@ pub(crate) fn header(
         let coach = Solid::new(Some(COACH), hand, &nalgebra::Isometry3::identity(), HAND.1);
         solids.push(Solid { passing: true, ..coach });
     }
-    RunHeader::new((&library.root, subtitle), outline, registry.manifests(), solids)
+    RunHeader::new((title, subtitle), outline, registry.manifests(), solids)
 }
 
 /// The names of a world's bodies, by which frames are called that move with them.

@@ -10,6 +10,7 @@ use armarium_viewer::live::{Action, ActionRefused, PageAnswer, ServedTimeline, S
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
+use tokio::runtime::Handle;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinHandle;
@@ -50,11 +51,10 @@ impl LiveOffer {
     /// # Errors
     /// When the session cannot declare it.
     pub(crate) async fn start(
-        connection: &Connection,
+        (session, threads): (&Session, &Handle),
         agent: &str,
         run: Arc<ServedTimeline>,
     ) -> Result<Self, HostError> {
-        let (session, threads) = (connection.session(), connection.runtime());
         let (page, news) = (key(agent, PAGE)?, key(agent, NEWS)?);
         let mut questions = session.declare_queryable(page.clone(), MOST_QUESTIONS).await?;
         let asked = Arc::clone(&run);

@@ -9,10 +9,13 @@ use std::time::Duration;
 use armarium_bus::Session;
 use armarium_robot::driver::{DriverError, DryDriver, GuardedDriver, RemoteDriver};
 use armarium_robot::{Guard, GuardConfig, GuardedRobot, Model, Robot, RobotServer};
+use armarium_runtime::chart::{Outline, Registry};
 
 use crate::address::Address;
 use crate::console::Console;
 use crate::error::HostError;
+use crate::live::ServiceView;
+use crate::recording::record_robot;
 
 /// How often a driver that is not there is looked for.
 const LOOKED_FOR: Duration = Duration::from_millis(500);
@@ -30,6 +33,8 @@ pub struct RobotService {
     pub speed_scale: f64,
     /// Whether no targets are sent: nothing moves.
     pub dry: bool,
+    /// The port of this machine on which a live page shows it, 0 for any that is free; `None` serves none.
+    pub live_port: Option<u16>,
 }
 
 /// Ends a guard's thread when whoever waits for it is dropped.
@@ -53,11 +58,19 @@ impl RobotService {
         let (mut guard, robot) = self.guarded(speed_scale)?;
         guard.end(&format!("its driver `{}/{}` has not been found yet", self.driver.agent, self.driver.name));
         let mut server = RobotServer::start(session, (agent, name), robot).await?;
+        let view = match self.live_port {
+            Some(port) => Some(self.show(port, session, &**console).await?),
+            None => None,
+        };
         loop {
             let driver = self.find(session, &**console).await?;
             let (guard, robot) = self.guarded(speed_scale)?;
             drop(server);
             let shared: Arc<dyn Robot> = Arc::<GuardedRobot>::clone(&robot);
+            if let Some(view) = &view {
+                // It ends with the robot, which is another one after a loss.
+                record_robot(&shared, Some(0), view.recorder.clone());
+            }
             server = RobotServer::start(session, (agent, name), shared).await?;
             console.note(&format!(
                 "{agent}/{name}: the robot `{}`, {} by {}",
@@ -81,6 +94,24 @@ impl RobotService {
             server.last_state_sent().await;
             speed_scale = robot.speed_scale();
         }
+    }
+
+    /// Opens a page that shows how the robot moves.
+    async fn show(
+        &self,
+        port: u16,
+        session: &Session,
+        console: &dyn Console,
+    ) -> Result<ServiceView, HostError> {
+        let nothing = Outline { states: Vec::new(), transitions: Vec::new() };
+        let subtitle = format!(
+            "the robot `{}`, driven by `{}/{}`",
+            self.model.name(),
+            self.driver.agent,
+            self.driver.name
+        );
+        let title = (self.offered.agent.as_str(), subtitle);
+        ServiceView::open(port, title, nothing, (&Registry::default(), &self.model), session, console).await
     }
 
     /// A guard without a driver yet, and the robot above it.

@@ -14,7 +14,7 @@ use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::report::Figure;
-use armarium_viewer::live::{LivePage, RunHeader, ShownTimeline};
+use armarium_viewer::live::{RunHeader, ShownTimeline};
 use armarium_viewer::progress::ProgressLine;
 use armarium_viewer::recorder::Recorder;
 use armarium_visionx::{ImageSource, Workers};
@@ -27,7 +27,7 @@ use crate::console::Console;
 use crate::driven::{self, Outside, RobotAt};
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
-use crate::live::{self, Live};
+use crate::live::{self, Live, OpenPage};
 use crate::network::Network;
 use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
 use crate::other_robots::{InProcess, OtherRobotEnded, OtherRobots};
@@ -59,7 +59,7 @@ pub struct RunEnded {
     /// The folder with the report.
     pub folder: PathBuf,
     /// The live page, which is served as long as this lives.
-    pub page: Option<Arc<LivePage>>,
+    pub page: Option<Arc<OpenPage>>,
 }
 
 /// Checks the chart, runs it in the simulator, and writes recording and report. Ctrl-C ends the run, also with a
@@ -105,7 +105,12 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
     let virtual_time = !config.real_time && alone;
     let workers = if virtual_time { Workers::Joined } else { Workers::Threads };
     builder.enable_all().start_paused(virtual_time);
-    builder.build()?.block_on(perform(config, &world, (&network, outside), workers, console, began))
+    let performing = perform(config, &world, (&network, outside), workers, console, began);
+    let mut ended = builder.build()?.block_on(performing)?;
+    if let Some(page) = ended.page.as_mut().and_then(Arc::get_mut) {
+        page.keep(network);
+    }
+    Ok(ended)
 }
 
 async fn perform(
@@ -144,19 +149,26 @@ async fn perform(
     let peers = (among.peers(&world.world.robot.name), robots.is_empty() && !network.listens());
     let subtitle = format!("world `{}`, seed {}", world.world.name, config.seed);
     let simulation = mover.simulation();
-    let header =
-        live::header(config, subtitle, &registry, equipment, simulation, &live::body_names(&world.world));
+    let header = live::header(
+        config,
+        (&chart, subtitle),
+        &registry,
+        equipment,
+        simulation,
+        &live::body_names(&world.world),
+    );
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
-    stage.open_recording(config, &chart, &world.world, &header)?;
+    stage.open_recording(config, &chart, &world.world, &header, &**console)?;
     let virtual_time = workers == Workers::Joined;
     let page =
         stage.open_page(config, (executor.controller(), virtual_time), &logger.log, network, console).await?;
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut tasks = stage.side_tasks(&executor, &logger, &joints, console, began);
-    tasks.extend(
-        config.longest.map(|longest| tokio::spawn(side_tasks::stop_after(longest, executor.controller()))),
-    );
+    tasks.extend(config.longest.map(|longest| {
+        let clock = stage.robot.handle.clone();
+        tokio::spawn(side_tasks::stop_after(longest, clock, executor.controller()))
+    }));
     tasks.extend(config.largest_recording.map(|most| {
         let file = config.report.join("run.mcap");
         tokio::spawn(side_tasks::bound_recording(file, most, stage.recorder.clone()))
@@ -345,6 +357,7 @@ impl Stage {
         chart: &str,
         world: &World,
         header: &RunHeader,
+        console: &dyn Console,
     ) -> Result<(), HostError> {
         let metadata = BTreeMap::from([
             ("chart".to_owned(), chart.to_owned()),
@@ -357,6 +370,13 @@ impl Stage {
             live.timeline.begin(header);
             opened.tell(Arc::new(live.timeline.clone()));
         }
+        #[cfg(feature = "foxglove")]
+        if let Some(port) = config.foxglove_port {
+            let address = opened.serve_foxglove(port)?;
+            console.note(&format!("Foxglove finds this run at {address}"));
+        }
+        #[cfg(not(feature = "foxglove"))]
+        let _ = console;
         self.recorder.begin(opened);
         Ok(())
     }
@@ -391,7 +411,7 @@ impl Stage {
         console: &Arc<dyn Console>,
         began: Instant,
     ) -> Vec<JoinHandle<()>> {
-        let equipment = &self.robot.equipment;
+        let (equipment, handle) = (&self.robot.equipment, self.robot.handle.clone());
         vec![
             record_robot(&equipment.robot, side_tasks::sensor_of(equipment), self.recorder.clone()),
             tokio::spawn(side_tasks::watch_gestures(
@@ -402,7 +422,7 @@ impl Stage {
             tokio::spawn(side_tasks::record_memory(
                 Arc::clone(self.memory.memory()),
                 self.recorder.clone(),
-                self.robot.handle.clone(),
+                Arc::new(move || handle.now_ns()),
             )),
             tokio::spawn(side_tasks::log_joints(equipment.clone(), Arc::clone(joints))),
             tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
@@ -416,7 +436,7 @@ impl Stage {
     }
 
     fn report(
-        &self,
+        &mut self,
         config: &RunConfig,
         chart: &str,
         world: &World,
@@ -464,13 +484,12 @@ impl Stage {
         }
         self.recorder.write(|recorder| attach_report(recorder, &sections));
         let recorded = self.recorder.finish();
-        if let Some(live) = &self.live {
+        let page = self.live.take().and_then(|live| {
             live.timeline.report(sections);
             let RunResult { outcome, reason, chain, .. } = &result;
-            live.end(serde_json::json!({"outcome": outcome, "reason": reason, "chain": chain}));
-        }
+            live.end(serde_json::json!({"outcome": outcome, "reason": reason, "chain": chain})).map(Arc::new)
+        });
         let (reported, folder) = (files.is_ok(), config.report.clone());
-        let page = self.live.as_ref().and_then(|live| live.page.clone());
         Ok(RunEnded { result, report, figures, recorded, reported, folder, page })
     }
 }

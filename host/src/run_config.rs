@@ -68,6 +68,9 @@ pub struct RunConfig {
     pub largest_recording: Option<u64>,
     /// The page that shows the run while it goes on.
     pub live: Option<LiveOptions>,
+    /// The port of this machine on which Foxglove finds the topics of the recording, 0 for any that is free.
+    #[cfg(feature = "foxglove")]
+    pub foxglove_port: Option<u16>,
 }
 
 impl RunConfig {
@@ -96,6 +99,8 @@ impl RunConfig {
             longest: None,
             largest_recording: None,
             live: None,
+            #[cfg(feature = "foxglove")]
+            foxglove_port: None,
         }
     }
 

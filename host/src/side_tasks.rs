@@ -15,7 +15,7 @@ use armarium_viewer::progress::ProgressLine;
 use parking_lot::Mutex;
 use tokio::sync::broadcast::error::RecvError;
 
-use crate::console::Console;
+use crate::console::{Console, WorldClock};
 use crate::recording::SharedRecorder;
 use crate::report::JointLog;
 use crate::run_log::RunLog;
@@ -43,20 +43,21 @@ pub(crate) async fn watch_gestures(
     }
 }
 
-/// Records what memory knows, and what changes in it.
-pub(crate) async fn record_memory(memory: Arc<WorkingMemory>, recorder: SharedRecorder, clock: Handle) {
+/// Records what memory knows, and what changes in it; times are those of `clock`.
+pub(crate) async fn record_memory(memory: Arc<WorkingMemory>, recorder: SharedRecorder, clock: WorldClock) {
     let record = |snapshot: &Snapshot| {
+        let (now_ns, age_ns) = (clock(), memory.now_ns().saturating_sub(snapshot.referenced_ns));
         let instance = snapshot.instance();
         let known = instance.map(|instance| {
             serde_json::json!({
                 "version": snapshot.version,
-                "referenced_ns": snapshot.referenced_ns,
+                "referenced_ns": now_ns.saturating_sub(age_ns),
                 "confidence": instance.confidence,
                 "attributes": Value::Map(instance.attributes.to_map()).to_json(),
             })
         });
         let change = serde_json::json!({"entity": snapshot.id.to_string(), "known": known});
-        recorder.write(|recorder| recorder.json(MEMORY, clock.now_ns(), &change));
+        recorder.write(|recorder| recorder.json(MEMORY, now_ns, &change));
     };
     loop {
         let mut changes = memory.changes(&Pattern::any());
@@ -124,9 +125,12 @@ pub(crate) async fn stop_on_signal(controller: Controller) {
     }
 }
 
-/// Ends the run after a time of the robot.
-pub(crate) async fn stop_after(longest: Duration, controller: Controller) {
-    tokio::time::sleep(longest).await;
+/// Ends the run after a time of the robot, which goes more slowly than real time on a busy machine.
+pub(crate) async fn stop_after(longest: Duration, clock: Handle, controller: Controller) {
+    while let Some(left) = longest.checked_sub(Duration::from_nanos(clock.now_ns())).filter(|l| !l.is_zero())
+    {
+        tokio::time::sleep(left).await;
+    }
     controller.stop(format!("the run was to last {} s at most", longest.as_secs_f64()));
 }
 

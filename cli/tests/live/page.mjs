@@ -78,9 +78,46 @@ const scenarios = {
     await page.click('#acting button:has-text("step")');
     await page.waitForFunction((then) => document.getElementById('clock').textContent !== then, before, { timeout: 60000 });
     await picture(page, 'paused');
+    // At the next visit of a state.
+    const state = page.locator('[data-state="Swing.Back"]');
+    await state.focus(); await page.keyboard.press('Enter');
+    await page.click('.detail button:has-text("breakpoint")');
+    await page.click('#acting button:has-text("go on")');
+    await page.waitForFunction(() => document.getElementById('badge').textContent === 'paused' && document.querySelector('[data-state="Swing.Back"].active'), null, { timeout: 60000 });
+    const stopped = await active(page);
+    await picture(page, 'breakpoint');
+    await page.click('.detail button:has-text("no breakpoint")');
     await page.click('#acting button:has-text("go on")');
     await ended(page);
-    return { outcome: await badge(page) };
+    return { stopped, outcome: await badge(page) };
+  },
+  // First paint, from an event to what is shown, images of the world a second, and growth.
+  async measure() {
+    const page = await open({ width: 1366, height: 768 }, {}, '[data-state="Both.Flip.One"].active');
+    const paint = await page.evaluate(() => performance.getEntriesByName('first-contentful-paint')[0]?.startTime);
+    const flips = await page.evaluate(async () => {
+      const { run, act } = await import('/run.js'), frame = () => new Promise((done) => requestAnimationFrame(done)), took = [];
+      for (let k = 0; k < 40; k++) {
+        const to = document.querySelector(`[data-state="Both.Flip.${k % 2 ? 'One' : 'Two'}"]`), began = performance.now();
+        act({ do: 'event', name: 'flip' });
+        while (!to.classList.contains('active')) await frame();
+        took.push(performance.now() - began);
+        await new Promise((done) => setTimeout(done, 50 + Math.random() * 100));
+      }
+      return took.sort((a, b) => a - b);
+    });
+    await page.click('#tab-world');
+    const images = await page.evaluate(async () => {
+      let drawn = 0; const clear = WebGLRenderingContext.prototype.clear;
+      WebGLRenderingContext.prototype.clear = function (...what) { drawn += 1; return clear.apply(this, what); };
+      await new Promise((done) => setTimeout(done, 5000));
+      return drawn / 5;
+    });
+    const heap = async () => { const client = await page.context().newCDPSession(page); await client.send('HeapProfiler.collectGarbage'); return (await client.send('Runtime.getHeapUsage')).usedSize / 1e6; };
+    const [before, from] = [await heap(), await page.evaluate(async () => (await import('/run.js')).run.now)];
+    await page.waitForTimeout(60000);
+    const [after, to] = [await heap(), await page.evaluate(async () => (await import('/run.js')).run.now)];
+    return { first_paint_ms: paint, event_to_shown_ms: { median: flips[20], worst: flips[39] }, images_per_s: images, heap_mb: [before, after], run_s: to - from };
   },
   // Keyboard, phone, dark, what screen readers need.
   async access() {
@@ -98,7 +135,13 @@ const scenarios = {
     await picture(phone, 'phone');
     const tabs = await Promise.all(Array.from({ length: 10 }, () => page.context().newPage()));
     for (const tab of tabs) { await tab.goto(url); await tab.waitForSelector('[data-state]'); }
-    return { axe };
+    // What failed is in view: the reason, the chain, the state.
+    await ended(page);
+    await picture(page, 'failed');
+    const problem = await page.textContent('#problem');
+    const failed = await page.$$eval('[data-state].failed', (all) => all.map((each) => each.dataset.state));
+    for (const tab of tabs) await ended(tab);
+    return { axe, problem, failed };
   },
 };
 try {

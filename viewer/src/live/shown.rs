@@ -7,6 +7,7 @@ use std::time::Duration;
 use armarium_values::report::Section;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
+use parking_lot::{Condvar, Mutex};
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast;
 
@@ -97,7 +98,7 @@ impl ShownTimeline {
     /// The run, whose news [`ServedTimeline::tell`] tells.
     #[must_use]
     pub fn served(self) -> Arc<ServedTimeline> {
-        Arc::new(ServedTimeline { shown: self, news: broadcast::channel(WAITING).0 })
+        Arc::new(ServedTimeline { shown: self, news: broadcast::channel(WAITING).0, end: <_>::default() })
     }
 }
 
@@ -106,9 +107,19 @@ impl ShownTimeline {
 pub struct ServedTimeline {
     shown: ShownTimeline,
     news: broadcast::Sender<Arc<[u8]>>,
+    /// Whether pages have been told the end.
+    end: (Mutex<bool>, Condvar),
 }
 
 impl ServedTimeline {
+    /// Waits until pages have been told that the run has ended, if there are any.
+    pub fn wait_until_told(&self, longest: Duration) {
+        let mut told = self.end.0.lock();
+        if self.news.receiver_count() > 0 {
+            self.end.1.wait_while_for(&mut told, |told| !*told, longest);
+        }
+    }
+
     /// Tells all pages what is new, as long as there are any.
     pub async fn tell(&self) {
         let mut told = Told::default();
@@ -116,6 +127,11 @@ impl ServedTimeline {
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             tick.tick().await;
+            if told.end {
+                // A moment ago: it has been sent.
+                *self.end.0.lock() = true;
+                self.end.1.notify_all();
+            }
             if self.news.receiver_count() == 0 {
                 continue;
             }

@@ -73,6 +73,16 @@ pub enum RecorderError {
         #[source]
         source: foxglove::FoxgloveError,
     },
+    /// Foxglove's WebSocket cannot be served.
+    #[cfg(feature = "websocket")]
+    #[error("port {port} of this machine, for Foxglove")]
+    Foxglove {
+        /// The port.
+        port: u16,
+        /// Foxglove's error.
+        #[source]
+        source: foxglove::FoxgloveError,
+    },
     /// A message cannot be encoded.
     #[error("cannot encode a message for `{topic}`: {what}")]
     Encode {
@@ -199,6 +209,8 @@ pub struct Recorder {
     broken: Option<RecorderError>,
     /// Who else is told.
     beside: Option<Arc<dyn MessageSink>>,
+    #[cfg(feature = "websocket")]
+    websocket: Option<foxglove::WebSocketServerHandle>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -267,7 +279,33 @@ impl Recorder {
             buffer: Vec::with_capacity(1024),
             broken: None,
             beside: None,
+            #[cfg(feature = "websocket")]
+            websocket: None,
         })
+    }
+
+    /// Serves all topics to Foxglove on a port of this machine, 0 for any that is free, as long as this writes. Returns the address.
+    ///
+    /// # Errors
+    /// [`RecorderError::Foxglove`] when the port cannot be listened on.
+    #[cfg(feature = "websocket")]
+    pub fn serve_foxglove(&mut self, port: u16) -> Result<String, RecorderError> {
+        let server = foxglove::WebSocketServer::new().name("Armarium").context(&self.context);
+        let server = server.bind("127.0.0.1", port).start_blocking();
+        let server = server.map_err(|source| RecorderError::Foxglove { port, source })?;
+        let address = format!("ws://127.0.0.1:{}", server.port());
+        self.websocket = Some(server);
+        Ok(address)
+    }
+
+    /// Tells each message to `sink`, and writes no file.
+    ///
+    /// # Errors
+    /// As [`Recorder::create`].
+    pub fn without_file(sink: Arc<dyn MessageSink>) -> Result<Self, RecorderError> {
+        let mut recorder = Self::create(Path::new("/dev/null"), BTreeMap::new())?;
+        recorder.tell(sink);
+        Ok(recorder)
     }
 
     /// Tells each message to `sink`, too, as long as this writes.
