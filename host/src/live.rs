@@ -87,8 +87,10 @@ pub(crate) struct Gate(Arc<(Mutex<GateState>, Condvar)>);
 #[derive(Default)]
 struct GateState {
     closed: bool,
-    /// It closes at the next transition.
+    /// It closes after the next transition.
     steps: bool,
+    /// There was that transition: it closes as soon as time goes on.
+    stepped: bool,
     /// It closes when one of these states is entered.
     stops: BTreeSet<String>,
     /// The end of the run opens it for good.
@@ -113,15 +115,12 @@ impl Gate {
 
     /// Something happened; it may close the gate.
     pub(crate) fn happened(&self, event: &TraceEvent) {
-        let closes = |state: &GateState| match &event.item {
-            TraceItem::Transition { .. } => state.steps,
-            TraceItem::Entered { state: entered } => state.stops.contains(entered),
-            _ => false,
-        };
-        self.change(|state| {
-            if closes(state) {
-                (state.closed, state.steps) = (true, false);
+        self.change(|state| match &event.item {
+            TraceItem::Transition { .. } if state.steps => (state.steps, state.stepped) = (false, true),
+            TraceItem::Entered { state: entered } if state.stops.contains(entered) => {
+                (state.closed, state.steps, state.stepped) = (true, false, false);
             }
+            _ => {}
         });
         self.pass();
     }
@@ -133,6 +132,11 @@ impl Gate {
 
 impl TruthSink for Gate {
     fn sample(&mut self, _: &TruthSample) {
+        self.change(|state| {
+            if std::mem::take(&mut state.stepped) {
+                state.closed = true;
+            }
+        });
         self.pass();
     }
 }

@@ -75,10 +75,13 @@ const scenarios = {
     const before = await page.textContent('#clock');
     await page.waitForTimeout(500);
     expect(before === await page.textContent('#clock'), 'time goes on in a pause');
+    const from = (await active(page)).join();
     await page.click('#acting button:has-text("step")');
-    await page.waitForFunction((then) => document.getElementById('clock').textContent !== then, before, { timeout: 60000 });
+    await page.waitForFunction((then) => document.getElementById('badge').textContent === 'paused'
+      && [...document.querySelectorAll('[data-state].active')].map((each) => each.dataset.state).filter(Boolean).join() !== then, from, { timeout: 60000 });
     await picture(page, 'paused');
     // At the next visit of a state.
+    if ((await active(page)).includes('Swing.Back')) { await page.click('#acting button:has-text("step")'); await page.waitForSelector('[data-state="Swing.There"].active'); }
     const state = page.locator('[data-state="Swing.Back"]');
     await state.focus(); await page.keyboard.press('Enter');
     await page.click('.detail button:has-text("breakpoint")');

@@ -40,7 +40,7 @@ pub enum Action {
     GoOn,
     /// It goes on until the next transition.
     Step,
-    /// It pauses before each of these states is entered; replaces those before.
+    /// It pauses where one of these states is entered; replaces those before.
     Breakpoints {
         /// The paths of states.
         states: Vec<String>,
