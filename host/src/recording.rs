@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use armarium_bus::codec;
 use armarium_robot::{Kinematics, Model, Robot};
+use armarium_simulator::physics::PressedLoad;
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
 use armarium_values::report::{Block, Section};
@@ -123,6 +124,18 @@ struct TrueLead {
     torque: [f64; 3],
 }
 
+/// What both hands do to what they press between them, and what else bears it.
+#[derive(Serialize)]
+struct TruePress {
+    /// The body, by its index among the world's.
+    body: usize,
+    /// Where each hand presses, m, and its force on the body, N, root frame.
+    at: [[f64; 3]; 2],
+    force: [[f64; 3]; 2],
+    /// The normal force of the table on it, N.
+    table_n: f64,
+}
+
 /// Writes the truth into the recording.
 pub(crate) struct TruthTopics {
     recorder: SharedRecorder,
@@ -156,6 +169,10 @@ impl TruthSink for TruthTopics {
             if let Some(coach) = coach {
                 let coach: Isometry3<f64> = coach;
                 recorder.pose("/truth/coach", t, &coach);
+            }
+            if let Some(PressedLoad { body, hands, table_n }) = sample.pressed {
+                let (at, force) = (hands.map(|hand| hand.at.into()), hands.map(|hand| hand.force.into()));
+                recorder.json("/truth/pressed", t, &TruePress { body, at, force, table_n })?;
             }
             for led in &sample.led {
                 let led = TrueLead { arm: led.arm, force: led.force.into(), torque: led.torque.into() };

@@ -9,7 +9,7 @@ use armarium_memoryx::{
 };
 use armarium_robot::JointHistory;
 use armarium_simulator::cameras::ScenerySink;
-use armarium_simulator::world::RobotSpec;
+use armarium_simulator::world::{BodyShape, RobotSpec};
 use armarium_simulator::{Handle, Options, Referee, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::{CorrectedImages, Equipment, RunningMotions};
 use armarium_values::Frame;
@@ -156,9 +156,12 @@ pub fn usual_policies() -> Policies {
 pub(crate) fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
     let mut prior = PriorKnowledge::new();
     let usual = World::default().objects;
-    let missing = usual.iter().filter(|u| world.objects.iter().all(|o| o.name != u.name));
+    let missing = usual.iter().filter(|u| world.named_bodies().all(|body| body.name != u.name));
     for object in world.objects.iter().chain(missing) {
         prior.add(ObjectClass::new(&object.name, object.color, object.size).with_mass(object.mass))?;
+    }
+    for body in world.bodies.iter().filter(|body| body.shape == BodyShape::Box) {
+        prior.add(ObjectClass::new(&body.name, body.color, body.size).with_mass(body.mass))?;
     }
     prior.add(ObjectClass::new(COACH_TOOL, world.coach.tool.color, COACH_TOOL_SIZE))?;
     Ok(prior)

@@ -7,7 +7,8 @@
 //! Where to start reading: `dmp/mod.rs` is the core that all primitives share, and [`PeriodicDmp`] is the primitive
 //! that is executed. [`AdaptiveOscillator`] finds the frequency of a demonstration, [`Imitation`] combines the two,
 //! [`CoachedMotion`] changes a running motion, [`SurfaceAdaptation`] learns the motion that keeps a force, and [`Motion`]
-//! is the stored form, [`Movement`] that of a movement to a goal. [`Admittance`] lets a hand be led by the force on it. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
+//! is the stored form, [`Movement`] that of a movement to a goal. [`Admittance`] lets a hand be led by the force on it;
+//! [`SharedLoad`] moves one load with two hands. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
 //! orientations.
 //!
 //! Equation numbers refer to Petrič, Gams, Žlajpah, Ude and Morimoto, "Online approach for altering robot
@@ -40,6 +41,7 @@ mod periodic;
 mod rigid_fit;
 mod segment;
 mod servo;
+mod shared_load;
 mod straight_line;
 mod surface;
 mod surface_correction;
@@ -76,6 +78,7 @@ pub use periodic::{
 pub use rigid_fit::{RigidFit, rigid_fit};
 pub use segment::{Demonstration, DemonstrationSegmenter, DemonstrationStage, SegmenterConfig, Swipe};
 pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus};
+pub use shared_load::{HandOnLoad, LoadForces, LoadStatus, SharedLoad, SharedLoadConfig, SharedLoadStep};
 pub use straight_line::{LinePoint, StraightLine};
 pub use surface::{SurfaceAdaptation, SurfaceCommand, SurfaceConfig};
 pub use surface_correction::SurfaceCorrection;

@@ -201,6 +201,9 @@ pub struct Hand {
     /// Where it grasps, in the frame of its arm's TCP: the middle of what it holds, x along the approach, y along the
     /// closing direction.
     pub grasp_in_tcp: Isometry3<f64>,
+    /// The face with which it presses on what it carries together with another hand, in the frame of its arm's TCP: its middle,
+    /// x out of it, y along it.
+    pub press_in_tcp: Option<Isometry3<f64>>,
     /// Width of a finger pad across approach and closing direction, m.
     pub pad_width: f64,
     /// The mark by which cameras track it.

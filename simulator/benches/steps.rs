@@ -9,8 +9,8 @@ use std::time::Instant;
 use armarium_robot::{Kinematics, Lease, LeaseLimits, Limb};
 use armarium_simulator::carrying::{CarriedBox, Carrying};
 use armarium_simulator::physics::{External, Plant};
-use armarium_simulator::start::{self, MountedPad, PadSpec};
-use armarium_simulator::world::NoiseSpec;
+use armarium_simulator::start::{self, MountedPad};
+use armarium_simulator::world::{NoiseSpec, PadSpec};
 use armarium_simulator::{Options, Simulation, World};
 use nalgebra::{Isometry3, Point3, Vector3};
 

@@ -414,6 +414,7 @@ impl Simulation {
         truth.object = self.object;
         truth.objects.clear();
         truth.objects.extend((0..self.object_names.len()).filter_map(|object| self.plant.object(object)));
+        truth.pressed = self.plant.pressed();
         truth.led.clear();
         truth.led.extend(self.plant.led());
         truth.collisions.clear();

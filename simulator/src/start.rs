@@ -12,7 +12,7 @@ use rand_distr::StandardNormal;
 
 use crate::error::SimulationError;
 use crate::table::TableTop;
-use crate::world::{BodyShape, BodySpec, GRAVITY, Imperfections, Place, RobotSpec, World};
+use crate::world::{BodyShape, BodySpec, GRAVITY, Imperfections, PadSpec, Place, RobotSpec, World};
 
 /// A robot, where it stands, and how.
 #[derive(Clone, Debug)]
@@ -31,33 +31,6 @@ pub struct RobotStart {
     pub errors: RobotErrors,
     /// Soft pads on the hands of its arms, in the model's order. A robot that has any touches with them alone.
     pub pads: Vec<MountedPad>,
-}
-
-/// How a pad feels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PadSpec {
-    /// Stiffness of the whole pad across the box's side, N/m.
-    pub stiffness: f64,
-    /// Stiffness along it, N/m.
-    pub shear_stiffness: f64,
-    /// Coulomb friction of pad on box.
-    pub friction: f64,
-    /// Thickness, m: it is pressed in by less.
-    pub thickness: f64,
-    /// Half its edges, along the fingers and across them, m.
-    pub half: [f64; 2],
-}
-
-impl Default for PadSpec {
-    fn default() -> Self {
-        Self {
-            stiffness: 6000.0,
-            shear_stiffness: 2000.0,
-            friction: 0.9,
-            thickness: 0.03,
-            half: [0.08, 0.09],
-        }
-    }
 }
 
 /// A pad on a hand.
@@ -169,9 +142,22 @@ pub fn robots(
             }
             room_from_root = Isometry3::identity();
         }
-        Ok(RobotStart { name, model, arm, room_from_root, position, errors, pads: Vec::new() })
+        let pads = spec.pads.map_or_else(Vec::new, |pad| mounted(pad, &model));
+        Ok(RobotStart { name, model, arm, room_from_root, position, errors, pads })
     };
     [&world.robot].into_iter().chain(&world.robots).map(begin).collect()
+}
+
+/// Pads on the faces with which the hands of a robot press.
+fn mounted(spec: PadSpec, model: &Model) -> Vec<MountedPad> {
+    let faces = model.arms().filter_map(|arm| model.hand_of(arm)?.press_in_tcp);
+    let pad = |face: Isometry3<f64>| MountedPad {
+        spec,
+        middle: face.translation.vector.into(),
+        edges: [face.rotation * Vector3::y(), face.rotation * Vector3::z()],
+        normal: face.rotation * Vector3::x(),
+    };
+    faces.map(pad).collect()
 }
 
 /// A world's bodies: those that the file names, in its order, then what lies in those.

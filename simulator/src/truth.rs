@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
 pub use crate::physics::Contact;
-use crate::physics::{LedHand, Touched};
+use crate::physics::{LedHand, PressedLoad, Touched};
 use crate::world::{Gesture, WorldEvent};
 
 /// The true state at one control step.
@@ -36,6 +36,8 @@ pub struct TruthSample {
     pub object: Option<usize>,
     /// Poses of the middles of all objects in the root frame, in the world's order.
     pub objects: Vec<Isometry3<f64>>,
+    /// What is between the first robot's hands, where these have pads.
+    pub pressed: Option<PressedLoad>,
     /// The first robot's hands that a person leads.
     pub led: Vec<LedHand>,
     /// The forces between the first robot and other things, N.

@@ -210,8 +210,22 @@ impl LeasedArm {
 
     /// Leases the arm that the input names, without what helps it.
     pub(crate) async fn take_alone(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let limb = chosen(equipment, context)?;
-        Self::with(equipment, limb, ArmLeases::take_with(equipment, context, limb, (&[], &[])).await?)
+        Self::take_limb(equipment, context, chosen(equipment, context)?, &[]).await
+    }
+
+    /// Leases an arm without what helps it, whose TCP goes to `targets`.
+    pub(crate) async fn take_limb(
+        equipment: &Equipment,
+        context: &SkillContext,
+        limb: &Limb,
+        targets: &[Isometry3<f64>],
+    ) -> Result<Self, Failure> {
+        Self::with(equipment, limb, ArmLeases::take_with(equipment, context, limb, (&[], targets)).await?)
+    }
+
+    /// From now on the null space pulls towards the posture of a sample.
+    pub(crate) fn stay_near(&mut self, sample: &Sensed) {
+        self.posture = self.leases.joints.iter().map(|&joint| sample.position[joint]).collect();
     }
 
     fn with(equipment: &Equipment, limb: &Limb, leases: ArmLeases) -> Result<Self, Failure> {

@@ -10,6 +10,7 @@
 
 mod arm;
 mod around;
+mod both;
 mod coaching;
 mod equipment;
 mod follow;

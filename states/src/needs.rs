@@ -29,7 +29,11 @@ const WRENCH: &[&str] = &[
     "ExecuteMotion",
     "ForceCoaching",
     "ForceGuiding",
+    "SqueezeTogether",
+    "CarryTogether",
+    "PutDownTogether",
 ];
+const TWO_ARMS: &[&str] = &["SqueezeTogether", "CarryTogether", "PutDownTogether"];
 const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose"];
 const CAMERAS: &[&str] = &[
     "LocateObject",
@@ -49,6 +53,9 @@ pub fn lacks(model: &Model) -> Vec<Lack> {
     if model.arms().next().is_none() {
         lack("no group has a `tcp`".to_owned(), ARM);
     }
+    if model.arms().count() < 2 {
+        lack("no second group has a `tcp`".to_owned(), TWO_ARMS);
+    }
     for arm in model.arms() {
         let name = &arm.name;
         if arm.wrench.is_none() {
@@ -56,8 +63,14 @@ pub fn lacks(model: &Model) -> Vec<Lack> {
         }
         match model.hand_of(arm) {
             None => lack(format!("no `hand` for `{name}`"), HAND),
-            Some(hand) if hand.marker.is_none() => lack(format!("no `marker` on `{}`", hand.name), MARKER),
-            Some(_) => {}
+            Some(hand) => {
+                if hand.marker.is_none() {
+                    lack(format!("no `marker` on `{}`", hand.name), MARKER);
+                }
+                if hand.press_in_tcp.is_none() {
+                    lack(format!("no `press_in_tcp` on `{}`", hand.name), TWO_ARMS);
+                }
+            }
         }
     }
     if model.camera().is_none() {

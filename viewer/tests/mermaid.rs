@@ -64,12 +64,14 @@ fn mermaid_draws_every_chart_and_shows_every_text_as_it_was() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let shipped = [
         "await_cup",
+        "carry_box",
         "grasp_object",
         "guide",
         "guide_both",
         "learn_wiping",
         "reach_told",
         "share_scene",
+        "take_together",
         "teach",
         "watch_table",
         "wiping",

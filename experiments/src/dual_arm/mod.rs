@@ -11,8 +11,8 @@ use armarium_motion::{
     DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
 };
 use armarium_simulator::carrying::{CarriedBox, Carrying, CarryingFigures, CarryingRecord, PalmSensed};
-use armarium_simulator::start::{MountedPad, PadSpec};
-use armarium_simulator::world::NoiseSpec;
+use armarium_simulator::start::MountedPad;
+use armarium_simulator::world::{NoiseSpec, PadSpec};
 use nalgebra::{Point3, Vector3, Vector6};
 
 use super::dual_arm_robot::{Arms, JOINTS, Joints};

@@ -99,6 +99,9 @@ form! {
         pub pads: Vec<String> = Vec::new(), Rule::ANY;
         /// Where it grasps, in the frame of its arm's TCP: x along the approach, y along the closing direction.
         pub grasp_in_tcp: PoseFile = PoseFile::default();
+        /// The middle of the face with which it presses on what it carries together with another hand, in the frame of its arm's
+        /// TCP: x points out, y along the face.
+        pub press_in_tcp: Option<PoseFile> = None;
         /// Width of a finger pad, m.
         pub pad_width: f64 = 0.02, Rule::number("m", 0.001, 0.3);
         /// The mark by which cameras track it.

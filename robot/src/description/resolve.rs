@@ -242,6 +242,7 @@ impl Resolver<'_> {
             shapes,
             pads,
             grasp_in_tcp: pose(&hand.grasp_in_tcp),
+            press_in_tcp: hand.press_in_tcp.as_ref().map(pose),
             pad_width: hand.pad_width,
             marker,
         }

@@ -20,4 +20,4 @@ mod tests;
 mod wrench;
 
 pub use people::LedHand;
-pub use plant::{Contact, DT, External, PAD_FRICTION, Plant, Targets, Touched};
+pub use plant::{Contact, DT, External, PAD_FRICTION, Plant, PressedLoad, PressingHand, Targets, Touched};

@@ -7,7 +7,8 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::start::{MountedPad, PadSpec};
+use crate::start::MountedPad;
+use crate::world::PadSpec;
 
 /// Number of points along each edge.
 const POINTS: usize = 3;

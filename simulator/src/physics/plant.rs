@@ -16,7 +16,7 @@
 //! - The wrist sensors are exact here (see [`wrench`](super::wrench)); noise is added in the sensing.
 
 use armarium_robot::ForceTorque;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::parry::query;
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
@@ -343,6 +343,21 @@ impl Plant {
         arms.map(|arm| arm.pad.as_ref().map_or_else(PadReaction::default, |pad| pad.reaction))
     }
 
+    /// What the pads of the first robot's first two arms press, if they are nearest to the same box.
+    pub fn pressed(&self) -> Option<PressedLoad> {
+        let pressed = |arm: &ArmWithHand| {
+            let padded = arm.pad.as_ref()?;
+            let (body, _) = padded.pad.as_ref()?;
+            let PadReaction { force, slipping, .. } = padded.reaction;
+            let at = arm.hand.tcp(&self.physics.bodies) * padded.mounted.middle;
+            Some((*body, PressingHand { at, force: -force, slipping }))
+        };
+        let [first, second, ..] = self.robots[0].arms.as_slice() else { return None };
+        let ((body, first), (other, second)) = (pressed(first)?, pressed(second)?);
+        let table_n = self.contact(body).normal;
+        (body == other).then_some(PressedLoad { body, hands: [first, second], table_n })
+    }
+
     /// Poses of the TCPs of a robot's arms, in the room.
     pub fn tcps(&self, robot: usize) -> impl Iterator<Item = Isometry3<f64>> + '_ {
         self.robots[robot].arms.iter().map(|arm| arm.hand.tcp(&self.physics.bodies))
@@ -557,6 +572,28 @@ pub struct Contact {
     pub normal: f64,
     /// Friction, root frame, N.
     pub tangential: Vector3<f64>,
+}
+
+/// A hand that presses with its pad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressingHand {
+    /// The middle of the pad's face, m.
+    pub at: Point3<f64>,
+    /// The force of the hand on the body, N.
+    pub force: Vector3<f64>,
+    /// How many points of the pad slip.
+    pub slipping: usize,
+}
+
+/// A body between the first robot's first two hands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressedLoad {
+    /// The body, by its index.
+    pub body: usize,
+    /// What both hands do to it; nothing where they do not touch it.
+    pub hands: [PressingHand; 2],
+    /// The normal force of the table on it, N.
+    pub table_n: f64,
 }
 
 /// What a robot touches.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
-use crate::physics::{LedHand, Touched};
+use crate::physics::{LedHand, PressedLoad, Touched};
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 
 /// Largest number of samples: 20 minutes. Later ones are dropped, and `truncated` is set.
@@ -48,6 +48,8 @@ pub struct TruthLog {
     pub(super) strongest: BTreeMap<Touched, f64>,
     /// The smallest distance to each person, m.
     pub(super) nearest: Vec<f64>,
+    /// What was between the hands, and the pose of its middle, each millisecond in a world whose robot has pads.
+    pub(super) pressed: Vec<(u64, PressedLoad, Isometry3<f64>)>,
     /// The hands that people led, each millisecond.
     pub(super) led: Vec<(u64, LedHand)>,
     /// The coach's events.
@@ -76,6 +78,8 @@ impl TruthLog {
             tool: s.coach.tool.map(|t| t.translation.vector),
             fastest_joint: s.velocity.iter().map(|v| v.abs()).fold(0.0, f64::max),
         });
+        let between = s.pressed.and_then(|load| Some((load, *s.objects.get(load.body)?)));
+        self.pressed.extend(between.map(|(load, pose)| (s.stamp_ns, load, pose)));
         self.led.extend(s.led.iter().map(|hand| (s.stamp_ns, *hand)));
         for (object, pose) in s.objects.iter().enumerate() {
             self.ends.entry(object).or_insert([*pose; 2])[1] = *pose;

@@ -2,9 +2,10 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `carrying`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
+mod carrying;
 mod coached;
 mod force;
 mod gestures;
@@ -57,6 +58,16 @@ pub enum Milestone {
     WipingStarted,
     /// The robot's hand may be led.
     GuidingStarted,
+    /// Both hands press on something.
+    LoadTaken,
+    /// Both hands begin to carry something.
+    CarryingStarted,
+    /// They have carried it to where it should be.
+    CarryingEnded,
+    /// They begin to put it down.
+    PutDownStarted,
+    /// They have put it down and let go.
+    PutDownEnded,
     /// The robot begins to play a motion in free space.
     PlayStarted,
     /// It has played it.
@@ -77,6 +88,11 @@ impl Milestone {
             }
             "wiping_started" => Self::WipingStarted,
             "guiding_started" => Self::GuidingStarted,
+            "load_taken" => Self::LoadTaken,
+            "carrying_started" => Self::CarryingStarted,
+            "carrying_ended" => Self::CarryingEnded,
+            "put_down_started" => Self::PutDownStarted,
+            "put_down_ended" => Self::PutDownEnded,
             "play_started" => Self::PlayStarted,
             "play_ended" => Self::PlayEnded,
             _ => return None,

@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::run::Run;
-use super::{bodies, coached, force, gestures, grasp, guiding, imitation, people, wiped};
+use super::{bodies, carrying, coached, force, gestures, grasp, guiding, imitation, people, wiped};
 
 /// A probe.
 pub(super) struct Probe {
@@ -23,7 +23,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 9] = [
+const PROBES: [&Probe; 10] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -33,6 +33,7 @@ const PROBES: [&Probe; 9] = [
     &bodies::PROBE,
     &people::PROBE,
     &guiding::PROBE,
+    &carrying::PROBE,
 ];
 
 /// The figures of the probes that the world wants and that find something, by their names.

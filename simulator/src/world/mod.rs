@@ -52,8 +52,18 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 9] =
-    ["grasp", "imitation", "force", "wiped_fraction", "gestures", "coaching", "bodies", "people", "guiding"];
+pub const PROBES: [&str; 10] = [
+    "grasp",
+    "imitation",
+    "force",
+    "wiped_fraction",
+    "gestures",
+    "coaching",
+    "bodies",
+    "people",
+    "guiding",
+    "carrying",
+];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
 
@@ -92,7 +102,7 @@ form! {
         /// People who act: the coach, and others who keep to a schedule.
         pub actors: Vec<ActorSpec> = Vec::new(), Rule::most(MAX_ACTORS);
         /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `bodies`,
-        /// `people`, `guiding`; by default each that finds something.
+        /// `people`, `guiding`, `carrying`; by default each that finds something.
         pub probes: Vec<String> = Vec::new(), Rule { most: MAX_LIST, ..Rule::NAME };
         /// Sensors that are broken.
         pub faults: Faults = Faults::default();
@@ -121,12 +131,32 @@ form! {
         pub yaw_deg: f64 = 0.0, Rule::degrees(361.0, "yaw");
         /// Standard deviations of its sensors.
         pub noise: NoiseSpec = NoiseSpec::default();
+        /// Soft pads on the faces with which its hands press. A robot that has any touches with them alone.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub pads: Option<PadSpec> = None;
         /// Of a robot besides the first: the chart that it runs, a file beside the world's. Without one it stands still.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub runs: Option<String> = None, Rule::NAME;
         /// Inputs of that chart.
         #[serde(skip_serializing_if = "BTreeMap::is_empty")]
         pub inputs: BTreeMap<String, Json> = BTreeMap::new();
+    }
+}
+
+form! {
+    /// A soft pad on a hand.
+    #[derive(Copy)]
+    pub struct PadSpec: "a pad" {
+        /// Stiffness of the whole pad across the box's side, N/m.
+        pub stiffness: f64 = 6000.0, Rule::number("N/m", 100.0, 20_000.0);
+        /// Stiffness along it, N/m.
+        pub shear_stiffness: f64 = 2000.0, Rule::number("N/m", 100.0, 20_000.0);
+        /// Coulomb friction of pad on box.
+        pub friction: f64 = 0.9, Rule::number("", 0.0, 3.0);
+        /// Thickness, m: it is pressed in by less.
+        pub thickness: f64 = 0.03, Rule::number("m", 0.002, 0.2);
+        /// Half its edges, along the fingers and across them, m.
+        pub half: [f64; 2] = [0.08, 0.09], Rule::number("m", 0.005, 0.5);
     }
 }
 
@@ -336,6 +366,11 @@ fn check_agent_name(name: &str, node: &Node, findings: &mut Findings) {
     }
 }
 
+/// Whether the hand of every arm has a face with which it presses.
+fn presses(model: &Model) -> bool {
+    model.arms().all(|arm| model.hand_of(arm).is_some_and(|hand| hand.press_in_tcp.is_some()))
+}
+
 impl RobotSpec {
     /// The robot itself.
     ///
@@ -376,6 +411,11 @@ impl RobotSpec {
                 let help = Some(format!("its arms: {}", arms().collect::<Vec<_>>().join(", ")));
                 let message = format!("the robot `{}` has no arm `{wanted}`", model.name());
                 findings.unknown(code::REFERENCE, (node.place("arm"), wanted), message, arms(), help);
+            }
+            Ok(model) if self.pads.is_some() && !presses(&model) => {
+                let help = Some("say with `press_in_tcp` in the robot file where each hand has them".into());
+                let message = format!("not every arm of the robot `{}` has a face for a pad", model.name());
+                findings.error_help(code::REFERENCE, node.place("pads"), message, help);
             }
             Ok(_) => {}
             Err(wrong) => {

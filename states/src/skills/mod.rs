@@ -2,6 +2,7 @@
 
 mod attach_object;
 mod calibrate_hand_eye;
+mod carry_together;
 mod close_hand;
 mod execute_motion;
 mod force_adaptation;
@@ -19,10 +20,12 @@ mod movement_imitation;
 mod open_hand;
 mod plan_grasp;
 mod play_motion;
+mod put_down_together;
 mod recall_motion;
 mod recall_object;
 mod reset_stop;
 mod shape_hand;
+mod squeeze_together;
 mod tare;
 mod verify_grasp;
 mod vision_coaching;
@@ -66,6 +69,9 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         play_motion::skill(equipment),
         force_coaching::skill(equipment),
         force_guiding::skill(equipment),
+        squeeze_together::skill(equipment),
+        carry_together::skill(equipment),
+        put_down_together::skill(equipment),
         vision_coaching::skill(equipment),
         watch_coach::skill(equipment),
     ]

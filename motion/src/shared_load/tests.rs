@@ -1,0 +1,201 @@
+use super::*;
+
+const DT: f64 = 1e-3;
+const UP: Vector3<f64> = Vector3::new(0.0, 0.0, 1.0);
+
+/// Two hands that follow their targets with a lag, with springs between them and a load that hangs on them.
+struct Rig {
+    tcps: [Isometry3<f64>; 2],
+    /// Where the hands would touch without pressing, from the load's middle, m.
+    half: f64,
+    /// Of each contact: across, along and turning, N/m and N m/rad.
+    stiffness: [f64; 3],
+    lag: f64,
+    weight: f64,
+    /// The share of the weight on the first hand.
+    share: f64,
+    /// By how much the second hand is wrong about where it is, m.
+    wrong: Vector3<f64>,
+}
+
+impl Rig {
+    fn new(stiffness: f64, lag: f64) -> Self {
+        let at = |x: f64| Isometry3::translation(x, 0.45, 1.0);
+        Self {
+            tcps: [at(0.26), at(-0.26)],
+            half: 0.2,
+            stiffness: [stiffness, stiffness / 3.0, stiffness * 4e-3],
+            lag,
+            weight: 15.0,
+            share: 0.5,
+            wrong: Vector3::zeros(),
+        }
+    }
+
+    /// As the hands feel it: the load's middle is between both contacts.
+    fn hands(&self) -> [HandOnLoad; 2] {
+        let face = |i: usize| Vector3::x() * if i == 0 { -0.06 } else { 0.06 };
+        let true_tcp = |i: usize| {
+            let wrong = if i == 0 { Vector3::zeros() } else { self.wrong };
+            Translation3::from(wrong) * self.tcps[i]
+        };
+        let contact = |i: usize| true_tcp(i) * Point3::from(face(i));
+        let apart = contact(0) - contact(1);
+        let pressed = (2.0 * self.half - apart.x).max(0.0) / 2.0;
+        let turned = (true_tcp(0).rotation * true_tcp(1).rotation.inverse()).scaled_axis() / 2.0;
+        [0, 1].map(|i| {
+            let (out, share) = if i == 0 { (1.0, self.share) } else { (-1.0, 1.0 - self.share) };
+            let along = Vector3::new(0.0, apart.y, apart.z) * (-0.5 * out * self.stiffness[1]);
+            let force =
+                Vector3::x() * (out * self.stiffness[0] * pressed) + along - UP * (self.weight * share);
+            let torque = face(i).cross(&force) - turned * (out * self.stiffness[2]);
+            let wrench = Vector6::from_iterator(force.iter().chain(torque.iter()).copied());
+            HandOnLoad { tcp: self.tcps[i], contact: self.tcps[i] * Point3::from(face(i)), wrench }
+        })
+    }
+
+    fn follow(&mut self, step: &SharedLoadStep) {
+        let share = DT / (DT + self.lag);
+        for (tcp, goal) in self.tcps.iter_mut().zip(&step.hands) {
+            let missing = goal.pose.translation.vector - tcp.translation.vector + goal.linear * self.lag;
+            tcp.translation.vector += missing * share;
+            let turn = (goal.pose.rotation * tcp.rotation.inverse()).scaled_axis() * share;
+            tcp.rotation = UnitQuaternion::from_scaled_axis(turn) * tcp.rotation;
+        }
+    }
+}
+
+fn resting(law: &SharedLoad) -> LinePoint {
+    LinePoint { pose: *law.taken(), linear: Vector3::zeros(), angular: Vector3::zeros() }
+}
+
+/// The squeeze over time, until `seconds` have passed.
+fn held(rig: &mut Rig, config: SharedLoadConfig, seconds: f64) -> (Vec<f64>, SharedLoadStep) {
+    let mut law = SharedLoad::new(config, &rig.hands()).unwrap();
+    let load = resting(&law);
+    let mut squeezes = Vec::new();
+    let mut last = None;
+    for _ in 0..(seconds / DT) as usize {
+        let step = law.step(DT, &rig.hands(), &load).unwrap();
+        rig.follow(&step);
+        squeezes.push(step.forces.squeeze);
+        last = Some(step);
+    }
+    (squeezes, last.unwrap())
+}
+
+#[test]
+fn the_squeeze_comes_and_stays_on_soft_and_on_hard_loads() {
+    for stiffness in [1000.0, 3000.0, 8000.0, 20_000.0] {
+        for lag in [0.01, 0.04] {
+            let mut rig = Rig::new(stiffness, lag);
+            let (squeezes, last) = held(&mut rig, SharedLoadConfig::default(), 12.0);
+            let worst = squeezes.iter().copied().fold(0.0, f64::max);
+            assert!((last.forces.squeeze - 25.0).abs() < 0.5, "{stiffness} {lag}: {}", last.forces.squeeze);
+            assert!(worst < 27.5, "{stiffness} {lag}: {worst} N");
+            assert_eq!(last.status, LoadStatus::Held);
+        }
+    }
+}
+
+#[test]
+fn what_both_hands_do_is_split_into_what_carries_and_what_presses() {
+    let rig = Rig { share: 0.7, ..Rig::new(3000.0, 0.01) };
+    let mut hands = rig.hands();
+    hands[0].wrench[0] += 40.0;
+    hands[1].wrench[0] -= 20.0;
+    let forces = LoadForces::of(&hands).unwrap();
+    assert!((forces.external - Vector3::new(-20.0, 0.0, 15.0)).norm() < 1e-12, "{forces:?}");
+    assert!((forces.squeeze - 30.0).abs() < 1e-12 && (forces.line.x + 1.0).abs() < 1e-12);
+    assert!((forces.internal.z - 3.0).abs() < 1e-12);
+    assert!((forces.hands[0].0 - 40.0).abs() < 1e-12 && (forces.hands[1].1 - 4.5).abs() < 1e-12);
+    assert!(forces.moment.norm() < 1e-12, "a force through the contact has no moment about it: {forces:?}");
+}
+
+#[test]
+fn hands_that_are_wrong_about_their_places_yield_to_each_other() {
+    let wrong = Vector3::new(0.0, 0.004, 0.003);
+    let along = |compliance: f64| {
+        let mut rig = Rig { wrong, ..Rig::new(6000.0, 0.04) };
+        let config = SharedLoadConfig { compliance, ..SharedLoadConfig::default() };
+        let (_, last) = held(&mut rig, config, 10.0);
+        (last.forces.internal - last.forces.line.into_inner() * last.forces.squeeze).norm()
+    };
+    let (stiff, yielding) = (along(0.0), along(5e-4));
+    assert!((stiff - 0.5 * 2000.0 * wrong.norm()).abs() < 0.1, "{stiff}");
+    // 1 / (1 + 2000 N/m * 5e-4 m/N) of it.
+    assert!((yielding - stiff / 2.0).abs() < 0.1, "{yielding} of {stiff}");
+}
+
+#[test]
+fn a_load_that_is_heavier_on_one_side_is_held_without_end() {
+    let mut rig = Rig { share: 0.8, weight: 20.0, ..Rig::new(6000.0, 0.04) };
+    let (_, soon) = held(&mut rig, SharedLoadConfig::default(), 3.0);
+    let before = rig.tcps;
+    let mut law = SharedLoad::new(SharedLoadConfig::default(), &rig.hands()).unwrap();
+    let load = resting(&law);
+    for _ in 0..60_000 {
+        let step = law.step(DT, &rig.hands(), &load).unwrap();
+        rig.follow(&step);
+    }
+    let moved = |i: usize| (rig.tcps[i].translation.vector - before[i].translation.vector).norm();
+    assert!(moved(0) < 1e-3 && moved(1) < 1e-3, "{} {}", moved(0), moved(1));
+    // The hands yield to half of the 6 N by which one would carry more: it carries 13 N, which need 32.5 N at a friction of 0.4.
+    assert!((soon.wanted - 32.5).abs() < 0.5, "{}", soon.wanted);
+}
+
+#[test]
+fn both_hands_move_as_the_load_does() {
+    let rig = Rig::new(6000.0, 0.04);
+    let free = SharedLoadConfig {
+        gain: 1e-9,
+        compliance: 0.0,
+        turning_compliance: 0.0,
+        ..SharedLoadConfig::default()
+    };
+    let hands = rig.hands();
+    let mut law = SharedLoad::new(free, &hands).unwrap();
+    let moved = Isometry3::new(Vector3::new(0.1, 0.02, 0.15), Vector3::new(0.0, 0.1, 0.4));
+    let middle = law.taken().translation;
+    let motion = middle * moved * middle.inverse();
+    let load = LinePoint {
+        pose: motion * law.taken(),
+        linear: Vector3::new(0.0, 0.1, 0.0),
+        angular: Vector3::new(0.0, 0.0, 0.5),
+    };
+    let step = law.step(DT, &hands, &load).unwrap();
+    for (hand, goal) in hands.iter().zip(&step.hands) {
+        let expected = motion * hand.tcp;
+        assert!((goal.pose.translation.vector - expected.translation.vector).norm() < 1e-9);
+        assert!(goal.pose.rotation.angle_to(&expected.rotation) < 1e-9);
+        let lever = goal.pose.translation.vector - load.pose.translation.vector;
+        assert!((goal.linear - load.linear - load.angular.cross(&lever)).norm() < 1e-7);
+    }
+}
+
+#[test]
+fn a_load_that_is_gone_is_noticed() {
+    let mut rig = Rig::new(6000.0, 0.04);
+    held(&mut rig, SharedLoadConfig::default(), 5.0);
+    let mut law = SharedLoad::new(SharedLoadConfig::default(), &rig.hands()).unwrap();
+    let load = resting(&law);
+    rig.weight = 0.0;
+    rig.half = 0.1;
+    let lost = (0..1000).find(|_| law.step(DT, &rig.hands(), &load).unwrap().status == LoadStatus::Lost);
+    assert!(lost.is_some_and(|lost| (99..=101).contains(&lost)), "{lost:?}");
+}
+
+#[test]
+fn what_is_no_input_is_refused() {
+    let rig = Rig::new(6000.0, 0.04);
+    let mut hands = rig.hands();
+    let mut law = SharedLoad::new(SharedLoadConfig::default(), &hands).unwrap();
+    let load = resting(&law);
+    assert!(law.step(0.0, &hands, &load).is_err());
+    hands[0].wrench[4] = f64::NAN;
+    assert!(law.step(DT, &hands, &load).is_err());
+    hands[0] = hands[1];
+    assert!(SharedLoad::new(SharedLoadConfig::default(), &hands).is_err());
+    let none = SharedLoadConfig { friction: 0.0, ..SharedLoadConfig::default() };
+    assert!(SharedLoad::new(none, &rig.hands()).is_err());
+}

@@ -1,0 +1,156 @@
+//! Both arms under one skill's command, with the faces of their hands between which they hold a load.
+
+use std::sync::Arc;
+
+use armarium_motion::{HandOnLoad, LinePoint, SharedLoadConfig};
+use armarium_robot::{Limb, Model, Sensed};
+use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
+use armarium_values::{Type, Unit};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::arm::{LeasedArm, tcp_of};
+use crate::equipment::Equipment;
+use crate::grasp::hand;
+
+/// The inputs that say how a load is held.
+const SQUEEZE: &str = "squeeze";
+const FRICTION: &str = "friction";
+/// The squeeze stays below this share of the force limit: a hand carries, too.
+const SQUEEZED: f64 = 0.8;
+
+/// What is so far below the hands is what they work on, m.
+const BELOW: f64 = 0.2;
+/// Number of places along a motion at which hands may come near to what is there.
+const WAYPOINTS: usize = 6;
+
+/// The arms that hold a load together: the robot's first two.
+fn arms(model: &Model) -> Result<[&Limb; 2], Failure> {
+    let arms: Vec<&Limb> = model.arms().take(2).collect();
+    let none = || Failure::new(format!("the robot `{}` has no two arms: groups with a `tcp`", model.name()));
+    arms.try_into().map_err(|_| none())
+}
+
+/// Says that a skill commands both arms.
+pub(crate) fn moves_both(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    let arms = equipment.robot.model().arms().take(2);
+    arms.fold(manifest, |manifest, arm| manifest.limb(&arm.name))
+}
+
+/// Adds the inputs that say how a load is held.
+pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
+    manifest
+        .optional(SQUEEZE, Type::quantity(Unit::N), 25.0, "Least force of the hands against each other.")
+        .optional(
+            FRICTION,
+            Type::FLOAT,
+            0.4,
+            "The friction of hands and load on which it relies: for a heavier load it squeezes more.",
+        )
+}
+
+/// The law's constants for these inputs, with the chart's limits.
+pub(crate) fn config(equipment: &Equipment, context: &SkillContext) -> Result<SharedLoadConfig, Failure> {
+    let own = equipment.robot.model().limits().force_n;
+    let most_squeeze = SQUEEZED * context.limits.force_n.unwrap_or(own).min(own);
+    let (squeeze, friction) = (context.number(SQUEEZE)?, context.number(FRICTION)?);
+    if squeeze > most_squeeze {
+        return Err(Failure::new(format!(
+            "a squeeze of {squeeze:.0} N is too much: the force limit leaves {most_squeeze:.0} N"
+        )));
+    }
+    Ok(SharedLoadConfig { squeeze, most_squeeze, friction, ..SharedLoadConfig::default() })
+}
+
+/// Both arms with their leases.
+pub(crate) struct BothArms {
+    arms: [LeasedArm; 2],
+    /// `tcp_from_face`: the faces with which they press, x out of them.
+    faces: [Isometry3<f64>; 2],
+}
+
+impl BothArms {
+    /// Leases both arms, without what helps them, for motions by these vectors (root frame, m). Their null spaces keep the
+    /// posture in which they are.
+    pub(crate) async fn take(
+        equipment: &Equipment,
+        context: &SkillContext,
+        motions: &[Vector3<f64>],
+    ) -> Result<Self, Failure> {
+        let model = Arc::clone(equipment.robot.model());
+        let [first, second] = arms(&model)?;
+        let face = |limb: &Limb| {
+            let hand = hand(&model, limb)?;
+            let none = || {
+                Failure::new(format!(
+                    "the robot file does not say with what `{}` presses: `press_in_tcp`",
+                    hand.name
+                ))
+            };
+            hand.press_in_tcp.ok_or_else(none)
+        };
+        let faces = [face(first)?, face(second)?];
+        let sample = equipment.robot.sensed().borrow();
+        let targets = |limb: &Limb| -> Result<Vec<Isometry3<f64>>, Failure> {
+            let below = Vector3::z() * -BELOW;
+            let now = model.link_pose(&sample.position, tcp_of(limb)?);
+            let steps = motions
+                .iter()
+                .chain([&below])
+                .flat_map(|by| (1..=WAYPOINTS).map(move |k| by * (k as f64 / WAYPOINTS as f64)));
+            Ok(steps
+                .map(|by| Isometry3::from_parts((now.translation.vector + by).into(), now.rotation))
+                .collect())
+        };
+        let mut arms = [
+            LeasedArm::take_limb(equipment, context, first, &targets(first)?).await?,
+            LeasedArm::take_limb(equipment, context, second, &targets(second)?).await?,
+        ];
+        arms.iter_mut().for_each(|arm| arm.stay_near(&sample));
+        Ok(Self { arms, faces })
+    }
+
+    /// `root_from_face` of both hands at a sample.
+    pub(crate) fn faces(&self, sample: &Sensed) -> [Isometry3<f64>; 2] {
+        [0, 1].map(|i| self.arms[i].tcp(sample) * self.faces[i])
+    }
+
+    /// Where the TCP of a hand is when its face is there (root frame).
+    pub(crate) fn tcp_at(&self, hand: usize, root_from_face: &Isometry3<f64>) -> Isometry3<f64> {
+        root_from_face * self.faces[hand].inverse()
+    }
+
+    /// The hands on what is between them.
+    pub(crate) fn on_load(&self, sample: &Sensed) -> Result<[HandOnLoad; 2], Failure> {
+        let faces = self.faces(sample);
+        let one = |i: usize| -> Result<HandOnLoad, Failure> {
+            Ok(HandOnLoad {
+                tcp: self.arms[i].tcp(sample),
+                contact: faces[i].translation.vector.into(),
+                wrench: self.arms[i].wrench(sample)?,
+            })
+        };
+        Ok([one(0)?, one(1)?])
+    }
+
+    /// Moves both TCPs to their targets; returns the larger distance from them, m.
+    ///
+    /// # Errors
+    /// The fault for which an arm was taken away; the other one stands then, too, as the skill ends.
+    pub(crate) fn track(&mut self, sample: &Sensed, targets: &[LinePoint; 2]) -> Result<f64, Failure> {
+        let mut farthest = 0.0_f64;
+        for (arm, target) in self.arms.iter_mut().zip(targets) {
+            farthest = farthest.max(arm.track(sample, &target.pose, target.linear, target.angular)?);
+        }
+        Ok(farthest)
+    }
+
+    /// The poses of both TCPs, at rest.
+    pub(crate) fn resting(&self, sample: &Sensed) -> [LinePoint; 2] {
+        [0, 1].map(|i| at_rest(self.arms[i].tcp(sample)))
+    }
+}
+
+/// A pose without velocity.
+pub(crate) fn at_rest(pose: Isometry3<f64>) -> LinePoint {
+    LinePoint { pose, linear: Vector3::zeros(), angular: Vector3::zeros() }
+}

@@ -1,0 +1,66 @@
+//! `CarryTogether`: both hands carry what is between them to another place.
+
+use std::sync::Arc;
+
+use armarium_motion::{LoadStatus, SharedLoad, StraightLine};
+use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use crate::arm::Senses;
+use crate::both::{BothArms, config, moves_both, squeezes};
+use crate::equipment::{self, Equipment};
+use crate::inputs::as_vector;
+use crate::motions::failed;
+
+/// The outcome besides `success`.
+const LOST: &str = "lost";
+/// How long the load rests at the end, s, over which its weight is averaged.
+const RESTS: f64 = 0.5;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new(
+        "CarryTogether",
+        "Carries what both hands hold between them on a straight line, without letting it slip or crushing it.",
+    )
+    .input("by", Type::list(Type::FLOAT), "How far: x, y, z in the root frame, m.")
+    .optional("turn", Type::quantity(Unit::RAD), 0.0, "How far it is turned about the vertical.")
+    .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.");
+    let manifest = squeezes(manifest)
+        .output("force", Type::quantity(Unit::N), "With what the hands press against each other at the end.")
+        .output("weight", Type::quantity(Unit::N), "The weight that they carry at the end.")
+        .outcome(LOST)
+        .mark(Mark::at_start("carrying_started"))
+        .mark(Mark::at_success("carrying_ended"));
+    equipment::skill(equipment, moves_both(manifest, equipment), run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let by = as_vector(context.value("by")?).ok_or_else(|| Failure::new("`by` needs three numbers"))?;
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
+    let mut both = BothArms::take(&equipment, &context, &[by]).await?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let hands = both.on_load(&senses.newest())?;
+    let mut law = SharedLoad::new(config(&equipment, &context)?, &hands).map_err(failed)?;
+    let from = *law.taken();
+    let to = Isometry3::from_parts(Translation3::from(from.translation.vector + by), turn * from.rotation);
+    let mut line = StraightLine::new(from, to, context.number("speed")?).map_err(failed)?;
+    let (mut weight, mut rested) = (0.0, 0.0);
+    loop {
+        let (sample, dt) = senses.next().await?;
+        let point = line.step(dt).map_err(failed)?;
+        let step = law.step(dt, &both.on_load(&sample)?, &point).map_err(failed)?;
+        if step.status == LoadStatus::Lost {
+            return Ok(Outcome::named(LOST).with("force", step.forces.squeeze).with("weight", 0.0));
+        }
+        both.track(&sample, &step.hands)?;
+        if line.rested(0.0) {
+            weight += step.forces.external.z * dt;
+            rested += dt;
+        }
+        if rested > RESTS {
+            let outcome = Outcome::success().with("force", step.forces.squeeze);
+            return Ok(outcome.with("weight", weight / rested));
+        }
+    }
+}
