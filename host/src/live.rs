@@ -34,7 +34,7 @@ use crate::error::HostError;
 use crate::frame_sampler::{FrameSampler, LEFT_EYE};
 use crate::live_service::LiveOffer;
 use crate::network::Network;
-use crate::recording::SharedRecorder;
+use crate::recording::{SharedRecorder, person_part};
 use crate::run_config::{LiveOptions, RunConfig};
 
 /// Topic of what somebody did through the page.
@@ -343,10 +343,14 @@ pub(crate) fn header(
     let outline = outline_of(&config.chart, &config.charts);
     let mut solids = solids_of(equipment.robot.model());
     if let Some(simulation) = simulation {
-        let (fixed, moving) = simulation.shapes();
-        solids.extend(fixed.iter().filter_map(|shape| solid(None, shape)));
-        for (body, parts) in bodies.iter().zip(&moving) {
+        let shapes = simulation.shapes();
+        solids.extend(shapes.fixed.iter().filter_map(|shape| solid(None, shape)));
+        for (body, parts) in bodies.iter().zip(&shapes.bodies) {
             solids.extend(parts.iter().filter_map(|part| solid(Some(body), part)));
+        }
+        for (person, parts) in shapes.people.iter().enumerate() {
+            let part = |(part, shape)| solid(Some(&person_part(person, part)), shape);
+            solids.extend(parts.iter().enumerate().filter_map(part));
         }
         let hand = SolidForm::Sphere { size: [HAND.0] };
         let coach = Solid::new(Some(COACH), hand, &nalgebra::Isometry3::identity(), HAND.1);

@@ -136,6 +136,11 @@ struct TruePress {
     table_n: f64,
 }
 
+/// The frame of a part of a person.
+pub(crate) fn person_part(person: usize, part: usize) -> String {
+    format!("person{person}_{part}")
+}
+
 /// Writes the truth into the recording.
 pub(crate) struct TruthTopics {
     recorder: SharedRecorder,
@@ -161,6 +166,11 @@ impl TruthSink for TruthTopics {
         let bodies = self.bodies.iter().zip(&sample.objects).filter(|_| due);
         self.recorder.write(|recorder| {
             bodies.for_each(|(body, pose)| recorder.transform(body, t, pose));
+            for (person, parts) in sample.people_parts.iter().enumerate().filter(|_| due) {
+                for (part, pose) in parts.iter().enumerate() {
+                    recorder.transform(&person_part(person, part), t, pose);
+                }
+            }
             recorder.pose("/truth/tcp", t, &sample.tcp);
             if let Some((_, object)) = &sample.object_pose() {
                 recorder.pose("/truth/sponge", t, object);

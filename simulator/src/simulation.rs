@@ -15,14 +15,13 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::cameras::{
-    AgentEyes, Drawing, Eyes, RobotState, SceneState, Scenery, ScenerySink, SimulatedCameras,
+    AgentEyes, Drawing, Eyes, RobotState, SceneShapes, SceneState, Scenery, ScenerySink, SimulatedCameras,
 };
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
 use crate::person::Person;
 use crate::physics::{External, Plant};
 use crate::referee::Referee;
-use crate::render::Shape;
 use crate::sensing::Sensors;
 use crate::start;
 use crate::table::DirtGrid;
@@ -261,10 +260,9 @@ impl Simulation {
         self.referee.clone()
     }
 
-    /// The shapes of what is not a robot or a person, for viewers: what stands still, each at its place, and the parts of each
-    /// body of [`TruthSample::objects`], in the body's frame.
-    pub fn shapes(&self) -> (Vec<Shape>, Vec<Vec<Shape>>) {
-        self.drawing.parts()
+    /// The shapes of what is not a robot, for viewers.
+    pub fn shapes(&self) -> SceneShapes {
+        self.drawing.shapes()
     }
 
     /// A handle to stop the simulation and to read its time.
@@ -422,6 +420,8 @@ impl Simulation {
         if self.steps.is_multiple_of(LOOKED_AT_EVERY) {
             truth.people.clear();
             truth.people.extend((0..self.people.len()).filter_map(|person| self.plant.distance(0, person)));
+            truth.people_parts.clear();
+            truth.people_parts.extend((0..self.people.len()).map(|person| self.plant.person(person)));
         }
         truth.contact = self.object.map(|object| self.plant.contact(object)).unwrap_or_default();
         let wrench = self.plant.wrench(0);

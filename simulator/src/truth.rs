@@ -44,6 +44,8 @@ pub struct TruthSample {
     pub collisions: Vec<(Touched, f64)>,
     /// The distance between the first robot's arms and each person when it was last looked at, m.
     pub people: Vec<f64>,
+    /// The poses of the parts of each person at that time, root frame.
+    pub people_parts: Vec<Vec<Isometry3<f64>>>,
     /// Whether that hand holds the judged object.
     pub held: bool,
     /// The coach's state.

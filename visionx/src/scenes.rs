@@ -1,12 +1,18 @@
 //! Images for this room's tests: balls, boxes and hands made of balls over a table, ray cast for both cameras.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use async_trait::async_trait;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::frame::{DepthImage, RgbImage, StereoFrame};
+use crate::frame::{DepthImage, ImageError, RgbImage, StereoFrame};
+use crate::image_source::ImageSource;
 use crate::tracking::hand::Gesture;
 
 pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
@@ -15,6 +21,41 @@ pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
 };
 pub(crate) const SKIN: [u8; 3] = [224, 172, 138];
 pub(crate) const TABLE: [u8; 3] = [150, 115, 80];
+
+/// Sends `frames` frames, one every 66 ms, stamped 0, 1, 2 ...; the one with the number `spoilt` cannot be read.
+pub(crate) struct TestCamera {
+    pub(crate) frames: u64,
+    pub(crate) spoilt: Option<u64>,
+    given: AtomicU64,
+}
+
+impl TestCamera {
+    pub(crate) fn new(frames: u64, spoilt: Option<u64>) -> Arc<Self> {
+        Arc::new(Self { frames, spoilt, given: AtomicU64::new(0) })
+    }
+}
+
+#[async_trait]
+impl ImageSource for TestCamera {
+    fn name(&self) -> &str {
+        "camera"
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        CALIBRATION
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        tokio::time::sleep(Duration::from_millis(66)).await;
+        let stamp_ns = self.given.fetch_add(1, Ordering::Relaxed);
+        let provider = "camera".to_owned();
+        match stamp_ns {
+            at if at >= self.frames => Err(ImageError::Gone { provider }),
+            at if Some(at) == self.spoilt => Err(ImageError::Spoilt { provider, what: "nothing".into() }),
+            _ => Ok(Arc::new(StereoFrame { stamp_ns, ..empty_frames().swap_remove(0) })),
+        }
+    }
+}
 
 /// An object in the root frame.
 #[derive(Clone)]

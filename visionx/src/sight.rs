@@ -112,53 +112,21 @@ impl Drop for Sight {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
-    use async_trait::async_trait;
-
     use super::*;
-    use crate::camera::StereoCalibration;
-    use crate::frame::StereoFrame;
-    use crate::scenes::{CALIBRATION, empty_frames};
+    use crate::scenes::{CALIBRATION, TestCamera};
     use crate::steps::HandStep;
     use crate::tracking::hand::HandObserver;
 
-    /// Gives a frame every 66 ms, the third one spoilt, and ends after the fifth.
-    struct Camera(parking_lot::Mutex<u64>);
-
-    #[async_trait]
-    impl ImageSource for Camera {
-        fn name(&self) -> &str {
-            "camera"
-        }
-
-        fn calibration(&self) -> StereoCalibration {
-            CALIBRATION
-        }
-
-        async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-            tokio::time::sleep(Duration::from_millis(66)).await;
-            let mut given = self.0.lock();
-            *given += 1;
-            let provider = || "camera".to_owned();
-            match *given {
-                3 => Err(ImageError::Spoilt { provider: provider(), what: "nothing".into() }),
-                6.. => Err(ImageError::Gone { provider: provider() }),
-                at => Ok(Arc::new(StereoFrame { stamp_ns: at, ..empty_frames().swap_remove(0) })),
-            }
-        }
-    }
-
     #[tokio::test(start_paused = true)]
     async fn each_frame_is_told_once_and_what_is_wrong_with_it() {
-        let images: Arc<dyn ImageSource> = Arc::new(Camera(Default::default()));
+        let images: Arc<dyn ImageSource> = TestCamera::new(5, Some(2));
         let mut sight = Sight::start(&images, HandStep::new(HandObserver::new(CALIBRATION)), Workers::Joined);
         let mut told = Vec::new();
         for _ in 0..7 {
             told.push(sight.next().await.map(|seen| (seen.stamp_ns, seen.observations.len())));
         }
         let spoilt = ImageError::Spoilt { provider: "camera".into(), what: "nothing".into() };
-        let frames = [Ok((1, 1)), Ok((2, 1)), Err(spoilt), Ok((4, 1)), Ok((5, 1))];
+        let frames = [Ok((0, 1)), Ok((1, 1)), Err(spoilt), Ok((3, 1)), Ok((4, 1))];
         assert_eq!(told[..5], frames);
         assert!(told[5..].iter().all(|end| matches!(end, Err(ImageError::Gone { .. }))), "{told:?}");
         assert!(sight.newest().unwrap().is_none());

@@ -47,6 +47,17 @@ pub(crate) struct SceneState<'a> {
     pub(crate) wiped: &'a DirtGrid,
 }
 
+/// The shapes of what is not a robot, for viewers.
+#[derive(Clone, Debug)]
+pub struct SceneShapes {
+    /// What stands still, each shape at its place in the root frame.
+    pub fixed: Vec<Shape>,
+    /// The parts of each body of [`TruthSample::objects`](crate::TruthSample::objects), in the body's frame.
+    pub bodies: Vec<Vec<Shape>>,
+    /// The parts of each person, each in the frame of [`TruthSample::people_parts`](crate::TruthSample::people_parts).
+    pub people: Vec<Vec<Shape>>,
+}
+
 /// What there is to draw.
 pub(crate) struct Drawing {
     /// The robots, and where their roots are in the scene.
@@ -82,15 +93,18 @@ impl Drawing {
         }
     }
 
-    /// What stands still, each shape at its place; and the parts of each body, in the body's frame.
-    pub(crate) fn parts(&self) -> (Vec<Shape>, Vec<Vec<Shape>>) {
+    pub(crate) fn shapes(&self) -> SceneShapes {
         let table = Shape {
             geometry: VisibleForm::Box { half: self.table_half },
             scene_from_shape: self.table_pose,
             color: self.table_color,
         };
-        let bodies = self.objects.iter().map(|parts| link_shapes(parts, &Isometry3::identity()));
-        (self.fixed.iter().cloned().chain([table]).collect(), bodies.collect())
+        let own = |parts: &Vec<Visual>| link_shapes(parts, &Isometry3::identity());
+        SceneShapes {
+            fixed: self.fixed.iter().cloned().chain([table]).collect(),
+            bodies: self.objects.iter().map(own).collect(),
+            people: self.people.iter().map(own).collect(),
+        }
     }
 
     /// Number of its bodies.

@@ -37,7 +37,7 @@ pub(crate) use drawing::{Drawing, RobotState, SceneState};
 
 pub use distant::{DistantCameras, Scenery, SceneryError, ScenerySink};
 
-pub use drawing::TOOL_HALF;
+pub use drawing::{SceneShapes, TOOL_HALF};
 /// Where the coach takes the eyes of a robot without cameras to be, root frame, m.
 const NO_CAMERA: Point3<f64> = Point3::new(0.0, 0.0, 1.6);
 /// Most frames that are on their way at the same time; at 120 Hz, a second has as many.

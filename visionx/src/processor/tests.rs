@@ -1,43 +1,13 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
-use crate::image_source::ImageSource;
 use crate::providers::{ProviderDescription, StereoPair, StereoProvider, channel};
-use crate::scenes::{CALIBRATION, empty_frames};
+use crate::scenes::{CALIBRATION, TestCamera};
 use crate::steps::{HandStep, OfStereo};
 use crate::tracking::hand::HandObserver;
-use crate::{StereoCalibration, StereoFrame};
-
-/// Sends a frame every 66 ms, `frames` in all.
-struct Camera {
-    frames: u64,
-    given: AtomicU64,
-}
-
-#[async_trait]
-impl ImageSource for Camera {
-    fn name(&self) -> &str {
-        "camera"
-    }
-
-    fn calibration(&self) -> StereoCalibration {
-        CALIBRATION
-    }
-
-    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-        tokio::time::sleep(Duration::from_millis(66)).await;
-        let i = self.given.fetch_add(1, Ordering::Relaxed);
-        if i >= self.frames {
-            return Err(ImageError::Gone { provider: "camera".into() });
-        }
-        let frame = empty_frames().swap_remove(0);
-        Ok(Arc::new(StereoFrame { stamp_ns: i, ..frame }))
-    }
-}
 
 fn camera(frames: u64) -> Arc<dyn ImageProvider> {
-    let camera = Camera { frames, given: AtomicU64::new(0) };
-    Arc::new(StereoProvider::new(Arc::new(camera), "camera_left"))
+    Arc::new(StereoProvider::new(TestCamera::new(frames, None), "camera_left"))
 }
 
 fn pair() -> StereoPair {

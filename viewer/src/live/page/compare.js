@@ -29,7 +29,7 @@ async function compare() {
     cell(row, `${number(one.value)} ${one.unit ?? ''}`); cell(row, two ? `${number(two.value)} ${two.unit ?? ''}` : '');
     cell(row, two && typeof one.value === 'number' && typeof two.value === 'number' ? number(two.value - one.value) : '');
   }
-  $('figures').replaceChildren(figures[0].length ? table : Object.assign(document.createElement('p'), { textContent: 'The first recording has no report.' }));
+  $('figures').replaceChildren(figures[0].length ? table : Object.assign(document.createElement('p'), { textContent: 'The first report has no figures.' }));
 }
 $('differences').onclick = () => { const hidden = $('figures').hidden = !$('figures').hidden; $('differences').setAttribute('aria-expanded', !hidden); };
 compare().catch((error) => { $('status').textContent = String(error); });

@@ -5,7 +5,7 @@ import { run, listen, isLive, shownTime, showTime } from '/run.js';
 const short = (value) => { const text = typeof value === 'string' ? value : JSON.stringify(value, (_, v) => (typeof v === 'number' ? +v.toPrecision(5) : v)); return text && text.length > 140 ? `${text.slice(0, 140)}…` : text ?? ''; };
 
 export function memoryView(panel) {
-  panel.innerHTML = `<div class="tools"><h2>Memory</h2><input type="search" placeholder="find an entity" aria-label="Find an entity"></div><div class="fill" tabindex="0" role="region" aria-label="What memory knows"></div>`;
+  panel.innerHTML = `<div class="tools"><h2>Memory</h2><input type="search" placeholder="find an entity" aria-label="Find an entity"></div><div class="fill known" tabindex="0" role="region" aria-label="What memory knows"></div>`;
   const [search, fill] = [panel.querySelector('input'), panel.querySelector('.fill')];
   const open = new Set();
   let due = false;
