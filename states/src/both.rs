@@ -43,7 +43,7 @@ pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
         .optional(
             FRICTION,
             Type::FLOAT,
-            0.4,
+            0.5,
             "The friction of hands and load on which it relies: for a heavier load it squeezes more.",
         )
 }

@@ -30,7 +30,7 @@ constants! {
         /// Largest squeeze, N.
         most_squeeze: f64 = 35.0, POSITIVE;
         /// The friction on which it relies: a hand presses at least with what it carries along the load's side over this.
-        friction: f64 = 0.4, POSITIVE;
+        friction: f64 = 0.5, POSITIVE;
         /// How fast the wanted squeeze changes, N/s.
         squeeze_rate: f64 = 40.0, POSITIVE;
         /// Closing speed of each hand for a missing newton, m/s/N. With contacts of the stiffness K, the squeeze settles with the
