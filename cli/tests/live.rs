@@ -95,6 +95,20 @@ impl Run {
         self.ask(&format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n"))
     }
 
+    /// The header of who may act.
+    fn token(&self) -> String {
+        let all = self.get("/run", "");
+        let known: Json = serde_json::from_str(all.split_once("\r\n\r\n").unwrap().1).unwrap();
+        format!("X-Armarium-Token: {}\r\n", known["token"].as_str().unwrap())
+    }
+
+    fn act(&self, token: &str, body: &str) -> String {
+        let (host, length) = (self.address(), body.len());
+        self.ask(&format!(
+            "POST /act HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{token}Content-Length: {length}\r\n\r\n{body}"
+        ))
+    }
+
     /// Waits for its end. Returns its report.
     fn report(mut self) -> Json {
         let mut rest = String::new();
@@ -162,17 +176,10 @@ fn strangers_are_refused_and_harm_nothing() {
         let answer = run.get(path, "");
         assert!(["200", "400", "404"].contains(&status(&answer).as_str()), "{path}: {answer}");
     }
-    let act = |token: &str, body: &str| {
-        let length = body.len();
-        run.ask(&format!(
-            "POST /act HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{token}Content-Length: {length}\r\n\r\n{body}"
-        ))
-    };
+    let act = |token: &str, body: &str| run.act(token, body);
     assert_eq!(status(&act("", r#"{"do":"stop"}"#)), "403");
     assert_eq!(status(&act("X-Armarium-Token: 0123\r\n", r#"{"do":"stop"}"#)), "403");
-    let all = run.get("/run", "");
-    let known: Json = serde_json::from_str(all.split_once("\r\n\r\n").unwrap().1).unwrap();
-    let token = format!("X-Armarium-Token: {}\r\n", known["token"].as_str().unwrap());
+    let token = run.token();
     assert_eq!(status(&act(&token, "nonsense")), "400");
     let large = format!(
         "POST /act HTTP/1.1\r\nHost: {host}\r\n{token}Content-Length: 1000000000\r\n\r\n{}",
@@ -191,6 +198,16 @@ fn strangers_are_refused_and_harm_nothing() {
     let report = run.report();
     assert_eq!(report["outcome"], "success");
     assert!(report["acted"][0].as_str().unwrap().ends_with("event enough"), "{}", report["acted"]);
+}
+
+#[test]
+fn a_run_that_stands_still_hears_the_request_to_end() {
+    let run = Run::start(SWINGS, &["--live-control"]);
+    assert!(run.act(&run.token(), r#"{"do":"pause"}"#).starts_with("HTTP/1.1 200"));
+    std::process::Command::new("kill").args(["-TERM", &run.child.id().to_string()]).status().unwrap();
+    let report = run.report();
+    assert_eq!(report["outcome"], "stopped");
+    assert_eq!(report["reason"], "stopped by the system (SIGTERM)");
 }
 
 #[test]

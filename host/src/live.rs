@@ -26,7 +26,6 @@ use armarium_viewer::recorder::Recorder;
 use armarium_visionx::StereoFrame;
 use futures::FutureExt as _;
 use parking_lot::{Condvar, Mutex};
-use tokio::signal::unix::{SignalKind, signal};
 
 use crate::connection::Connection;
 use crate::console::{Console, WorldClock};
@@ -36,6 +35,7 @@ use crate::live_service::LiveOffer;
 use crate::network::Network;
 use crate::recording::{SharedRecorder, person_part};
 use crate::run_config::{LiveOptions, RunConfig};
+use crate::side_tasks::signalled;
 
 /// Topic of what somebody did through the page.
 const ACTIONS: &str = "/live/actions";
@@ -383,14 +383,9 @@ fn solid(frame: Option<&str>, shape: &Shape) -> Option<Solid> {
     Some(Solid::new(frame, form, &shape.scene_from_shape, shape.color))
 }
 
-/// Who waits at a closed gate cannot hear Ctrl-C, or the system's request to end: they open it.
+/// Who waits at a closed gate hears no signal: this opens it.
 async fn open_at_signals(gate: Gate) {
-    let Ok(mut terminated) = signal(SignalKind::terminate()) else { return };
-    tokio::select! {
-        biased;
-        _ = tokio::signal::ctrl_c() => {}
-        _ = terminated.recv() => {}
-    }
+    signalled().await;
     gate.change(|state| state.ended = true);
 }
 

@@ -13,6 +13,7 @@ use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
 use armarium_viewer::progress::ProgressLine;
 use parking_lot::Mutex;
+use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast::error::RecvError;
 
 use crate::console::{Console, WorldClock};
@@ -118,11 +119,19 @@ pub(crate) fn sensor_of(equipment: &Equipment) -> Option<usize> {
     equipment.robot.model().find_limb(equipment.works.as_deref()?)?.wrench
 }
 
-/// Ctrl-C stops the robot first: all skills are cancelled and have returned before the report is written.
-pub(crate) async fn stop_on_signal(controller: Controller) {
-    if tokio::signal::ctrl_c().await.is_ok() {
-        controller.stop("stopped by Ctrl-C");
+/// Waits for Ctrl-C, or for the system's request to end. Says which.
+pub(crate) async fn signalled() -> &'static str {
+    let Ok(mut terminated) = signal(SignalKind::terminate()) else { return std::future::pending().await };
+    tokio::select! {
+        biased;
+        _ = tokio::signal::ctrl_c() => "Ctrl-C",
+        _ = terminated.recv() => "the system (SIGTERM)",
     }
+}
+
+/// A signal stops the robot first: all skills are cancelled and have returned before the report is written.
+pub(crate) async fn stop_on_signal(controller: Controller) {
+    controller.stop(format!("stopped by {}", signalled().await));
 }
 
 /// Ends the run after a time of the robot, which goes more slowly than real time on a busy machine.
