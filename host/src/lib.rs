@@ -42,6 +42,7 @@ pub mod run;
 mod run_config;
 mod run_log;
 mod side_tasks;
+mod signals;
 pub mod simulated;
 pub mod sweep;
 mod told_scene;

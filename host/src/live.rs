@@ -35,7 +35,7 @@ use crate::live_service::LiveOffer;
 use crate::network::Network;
 use crate::recording::{SharedRecorder, person_part};
 use crate::run_config::{LiveOptions, RunConfig};
-use crate::side_tasks::signalled;
+use crate::signals::signalled;
 
 /// Topic of what somebody did through the page.
 const ACTIONS: &str = "/live/actions";

@@ -13,13 +13,13 @@ use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
 use armarium_viewer::progress::ProgressLine;
 use parking_lot::Mutex;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast::error::RecvError;
 
 use crate::console::{Console, WorldClock};
 use crate::recording::SharedRecorder;
 use crate::report::JointLog;
 use crate::run_log::RunLog;
+use crate::signals::signalled;
 
 /// Passes the gesture that vision recognises in each frame to the referee, and records it.
 pub(crate) async fn watch_gestures(
@@ -117,16 +117,6 @@ pub(crate) async fn show_progress(
 /// The wrench sensor of the arm that works, as an index into the model's.
 pub(crate) fn sensor_of(equipment: &Equipment) -> Option<usize> {
     equipment.robot.model().find_limb(equipment.works.as_deref()?)?.wrench
-}
-
-/// Waits for Ctrl-C, or for the system's request to end. Says which.
-pub(crate) async fn signalled() -> &'static str {
-    let Ok(mut terminated) = signal(SignalKind::terminate()) else { return std::future::pending().await };
-    tokio::select! {
-        biased;
-        _ = tokio::signal::ctrl_c() => "Ctrl-C",
-        _ = terminated.recv() => "the system (SIGTERM)",
-    }
 }
 
 /// A signal stops the robot first: all skills are cancelled and have returned before the report is written.
