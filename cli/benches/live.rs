@@ -24,8 +24,7 @@ events: {flip: {description: Somebody wants the other state.}}
 initial: Both
 states:
   Both:
-    parallel: true
-    states:
+    parallel:
       Swing:
         initial: There
         states:
