@@ -2,32 +2,27 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use std::path::Path;
-use std::sync::Arc;
+mod ended;
 
-use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
+use std::path::Path;
+
+use armarium_host::{RunConfig, RunEnded};
+
+use ended::ended;
 
 /// A run of a shipped chart in the world beside it, changed by `edit`.
-fn ended(chart: &str, seed: u64, edit: impl Fn(String) -> String) -> RunEnded {
+fn carried(chart: &str, seed: u64, edit: impl Fn(String) -> String) -> RunEnded {
     let folder = tempfile::tempdir().unwrap();
     let charts = armarium_tests::repository::root().join("statecharts");
     let world = folder.path().join("edited.world.yaml");
     let shipped = charts.join(Path::new(chart).with_extension("world.yaml"));
     std::fs::write(&world, edit(std::fs::read_to_string(shipped).unwrap())).unwrap();
-    let config = RunConfig {
-        world: Some(world),
-        seed,
-        report: folder.path().join("report"),
-        store: folder.path().join("memory.redb"),
-        ..RunConfig::new(charts.join(chart))
-    };
-    let console: Arc<dyn Console> = Arc::new(Silent);
-    run(&config, &console).unwrap()
+    ended(RunConfig { world: Some(world), seed, ..RunConfig::new(charts.join(chart)) })
 }
 
 #[test]
 fn a_box_is_carried_between_both_hands_and_put_down() {
-    let ended = ended("carry_box.yaml", 1, |world| world);
+    let ended = carried("carry_box.yaml", 1, |world| world);
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let own = &ended.report["carrying"];
     let figure = |key: &str| own[key].as_f64().unwrap();
@@ -41,6 +36,6 @@ fn a_box_is_carried_between_both_hands_and_put_down() {
 
 #[test]
 fn a_box_that_is_too_smooth_is_lost_and_the_run_says_so() {
-    let ended = ended("carry_box.yaml", 1, |world| world.replace("{from: 0.6, to: 0.9}", "0.05"));
+    let ended = carried("carry_box.yaml", 1, |world| world.replace("{from: 0.6, to: 0.9}", "0.05"));
     assert_eq!(ended.result.outcome, "failure", "{:?}", ended.report["carrying"]);
 }

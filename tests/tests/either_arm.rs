@@ -2,24 +2,22 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
+mod ended;
+
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
+use armarium_host::{RunConfig, RunEnded};
+
+use ended::ended;
 
 /// A run of a chart, with inputs.
-fn ended(chart: &Path, inputs: &[(&str, &str)]) -> RunEnded {
-    let folder = tempfile::tempdir().unwrap();
-    let config = RunConfig {
+fn with_inputs(chart: &Path, inputs: &[(&str, &str)]) -> RunEnded {
+    ended(RunConfig {
         inputs: inputs.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect(),
-        report: folder.path().join("report"),
-        store: folder.path().join("memory.redb"),
         longest: Some(Duration::from_secs(200)),
         ..RunConfig::new(chart)
-    };
-    let console: Arc<dyn Console> = Arc::new(Silent);
-    run(&config, &console).unwrap()
+    })
 }
 
 fn shipped(name: &str) -> std::path::PathBuf {
@@ -28,7 +26,7 @@ fn shipped(name: &str) -> std::path::PathBuf {
 
 #[test]
 fn the_left_hand_grasps_what_lies_at_the_left() {
-    let ended = ended(&shipped("grasp_object.yaml"), &[("object", "sponge"), ("arm", "left_arm")]);
+    let ended = with_inputs(&shipped("grasp_object.yaml"), &[("object", "sponge"), ("arm", "left_arm")]);
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let error = ended.report["grasp"]["position_error_m"].as_f64().unwrap();
     assert!(error < 0.015, "{error} m");
@@ -63,6 +61,6 @@ states:
     std::fs::write(&chart, CHART).unwrap();
     // Over the kitchen's table the left arm would meet it.
     std::fs::write(folder.path().join("both.world.yaml"), "world: low\ntable: {height: 0.5}\n").unwrap();
-    let ended = ended(&chart, &[]);
+    let ended = with_inputs(&chart, &[]);
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
 }

@@ -2,28 +2,21 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use std::sync::Arc;
+mod ended;
 
-use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
+use armarium_host::{RunConfig, RunEnded};
+
+use ended::ended;
 
 /// A run of `guide.yaml` in a shipped world.
 fn guided(world: &str, seed: u64) -> RunEnded {
-    ended("guide.yaml", world, seed)
+    led("guide.yaml", world, seed)
 }
 
 /// A run of a shipped chart in a shipped world.
-fn ended(chart: &str, world: &str, seed: u64) -> RunEnded {
-    let folder = tempfile::tempdir().unwrap();
+fn led(chart: &str, world: &str, seed: u64) -> RunEnded {
     let charts = armarium_tests::repository::root().join("statecharts");
-    let config = RunConfig {
-        world: Some(charts.join(world)),
-        seed,
-        report: folder.path().join("report"),
-        store: folder.path().join("memory.redb"),
-        ..RunConfig::new(charts.join(chart))
-    };
-    let console: Arc<dyn Console> = Arc::new(Silent);
-    run(&config, &console).unwrap()
+    ended(RunConfig { world: Some(charts.join(world)), seed, ..RunConfig::new(charts.join(chart)) })
 }
 
 #[test]
@@ -64,7 +57,7 @@ fn a_frozen_sensor_ends_it_with_a_reason_and_the_arm_stands() {
 #[test]
 fn what_was_led_is_kept_and_played_again() {
     for world in ["teach.world.yaml", "teach_rhythm.world.yaml"] {
-        let ended = ended("teach.yaml", world, 1);
+        let ended = led("teach.yaml", world, 1);
         assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
         let off = ended.report["guiding"]["played_rms_m"].as_f64();
         assert!(off.is_some_and(|off| off < 0.01), "{world}: {off:?}");
@@ -73,7 +66,7 @@ fn what_was_led_is_kept_and_played_again() {
 
 #[test]
 fn both_hands_are_led_at_once() {
-    let ended = ended("guide_both.yaml", "guide_both.world.yaml", 1);
+    let ended = led("guide_both.yaml", "guide_both.world.yaml", 1);
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let leads = ended.report["guiding"]["leads"].as_array().unwrap();
     let arms: Vec<_> = leads.iter().map(|led| led["arm"].as_u64()).collect();
@@ -86,7 +79,7 @@ fn both_hands_are_led_at_once() {
 
 #[test]
 fn a_platform_follows_a_hand_that_is_led_beyond_the_arms_reach() {
-    let ended = ended("guide.yaml", "guide_far.world.yaml", 1);
+    let ended = led("guide.yaml", "guide_far.world.yaml", 1);
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let led = &ended.report["guiding"]["leads"][0];
     let figure = |key: &str| led[key].as_f64().unwrap();

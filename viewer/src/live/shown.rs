@@ -8,7 +8,6 @@ use armarium_values::report::Section;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use parking_lot::{Condvar, Mutex};
-use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast;
 
 use super::timeline::{Timeline, Told, text};
@@ -25,14 +24,13 @@ const JSON: &str = "application/json";
 const TEXT: &str = "text/plain; charset=utf-8";
 
 /// An answer to a page.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PageAnswer {
     /// As in HTTP.
     pub status: u16,
     /// Its media type.
     pub kind: String,
     /// What else there is to say of it: the time of an image, ns, or the states that a chart has closed.
-    #[serde(default)]
     pub about: String,
     /// The answer itself.
     pub content: Vec<u8>,
