@@ -22,7 +22,7 @@ pub struct Access {
     pub writers: Vec<String>,
     /// Peers that may start its charts and skills, and send them events.
     pub callers: Vec<String>,
-    /// Peers that may see the states of its robots and its live page.
+    /// Peers that may see the states of its robots, the images of its cameras, and its live page.
     pub watchers: Vec<String>,
     /// Peers that may lease and command its robots, and see their states.
     pub commanders: Vec<String>,
@@ -133,8 +133,9 @@ impl Access {
         }
         if is_in(&self.watchers) || is_in(&self.commanders) {
             let seen = || {
-                let parts = ["robot/*/description", "robot/*/state", "live/page", "live/news"];
-                parts.map(|part| format!("{own}/{part}"))
+                let robots = ["robot/*/description", "robot/*/state"];
+                let parts = [&robots[..], &["live/page", "live/news", "image/*", "image/*/*"]].concat();
+                parts.iter().map(|part| format!("{own}/{part}")).collect::<Vec<_>>()
             };
             rules.push(rule(other, "watches", QUERYING, "ingress", seen()));
             rules.push(rule(other, "is_shown", PUBLISHING, "egress", seen()));

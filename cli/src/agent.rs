@@ -7,7 +7,7 @@ use armarium_host::{Address, AgentConfig, run_agent};
 use armarium_memoryx::Followee;
 use armarium_runtime::exec::RunResult;
 
-use crate::connection_args::{AccessArgs, ConnectionArgs, explained};
+use crate::connection_args::{AccessArgs, ConnectionArgs, LiveArgs, explained};
 use crate::console::{Terminal, refuse};
 use crate::logging;
 use crate::memory::keep::KeepArgs;
@@ -56,12 +56,8 @@ pub(crate) struct AgentArgs {
     pub(crate) store: PathBuf,
     #[command(flatten)]
     pub(crate) kept: KeepArgs,
-    /// Serve a page of this machine that shows the agent: its robot, its memory, the chart of `--run`.
-    #[arg(long)]
-    pub(crate) live: bool,
-    /// The port of that page; 0 is any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = 0, requires = "live")]
-    pub(crate) live_port: u16,
+    #[command(flatten)]
+    pub(crate) live: LiveArgs,
     /// Show what happens as lines of text.
     #[arg(short, long)]
     pub(crate) verbose: bool,
@@ -100,7 +96,8 @@ fn config(args: &AgentArgs) -> Result<AgentConfig, String> {
     config.retention = args.kept.retention()?;
     config.session = args.connection.config().map_err(|error| explained(&error))?;
     config.access = args.access.of(&args.name);
-    config.live_port = args.live.then_some(args.live_port);
+    let address = args.live.address(&args.connection).map_err(|error| error.to_string())?;
+    config.live = Some(address).filter(|_| args.live.live);
     Ok(config)
 }
 

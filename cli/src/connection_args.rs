@@ -1,8 +1,10 @@
 //! The options for connections to other agents, and for their access rights.
 
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError, Tls};
+use armarium_viewer::live::{CertificateError, PageAddress};
 
 /// Connections to other agents.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -40,6 +42,39 @@ pub(crate) struct AccessArgs {
     /// A peer that may start this agent's charts and skills; may be repeated.
     #[arg(long = "caller", value_name = "NAME", requires = "ca")]
     callers: Vec<String>,
+    /// A peer that may see this agent's live page, its cameras' images and the states of its robots; may be repeated.
+    #[arg(long = "watcher", value_name = "NAME", requires = "ca")]
+    watchers: Vec<String>,
+}
+
+/// The live page.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(crate) struct LiveArgs {
+    /// Serve a page that shows what goes on, for browsers of this machine; its address is printed first.
+    #[arg(long)]
+    pub(crate) live: bool,
+    /// The port of the page; 0 is any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    live_port: u16,
+    /// Serve the page at this address of this machine, for browsers elsewhere too: with TLS (--certificate, --key), and only to who
+    /// opens the address that is printed, with its token.
+    #[arg(long, value_name = "IP", requires = "certificate")]
+    live_address: Option<IpAddr>,
+}
+
+impl LiveArgs {
+    /// Where the page is served.
+    ///
+    /// # Errors
+    /// For people: when the certificate cannot be used.
+    pub(crate) fn address(&self, connection: &ConnectionArgs) -> Result<PageAddress, CertificateError> {
+        match (self.live_address, &connection.certificate, &connection.key) {
+            (Some(ip), Some(certificate), Some(key)) => {
+                PageAddress::beyond((ip, self.live_port).into(), certificate, key)
+            }
+            _ => Ok(PageAddress::loopback(self.live_port)),
+        }
+    }
 }
 
 impl AccessArgs {
@@ -50,6 +85,7 @@ impl AccessArgs {
             readers: self.readers.clone(),
             writers: self.writers.clone(),
             callers: self.callers.clone(),
+            watchers: self.watchers.clone(),
             ..Access::default()
         };
         access.is_for_others().then_some(access)

@@ -10,7 +10,7 @@ use armarium_robot::description::Description;
 use armarium_robot::driver::{Driver as _, DriverClock, GuardedDriver, RemoteDriver};
 use armarium_robot::{Guard, GuardConfig, JointKind, Model, RemoteRobot, Robot, conformance};
 
-use crate::connection_args::{ConnectionArgs, explained};
+use crate::connection_args::{ConnectionArgs, LiveArgs, explained};
 use crate::console::{Terminal, refuse};
 use crate::described;
 use crate::stopped::stopped;
@@ -45,12 +45,8 @@ pub(crate) struct ServeArgs {
     /// A peer that may offer the driver; may be repeated.
     #[arg(long = "driven-by", value_name = "NAME", requires = "ca")]
     driven_by: Vec<String>,
-    /// Serve a page of this machine that shows how the robot moves; its address is printed first.
-    #[arg(long)]
-    live: bool,
-    /// The port of that page; 0 is any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = 0, requires = "live")]
-    live_port: u16,
+    #[command(flatten)]
+    live: LiveArgs,
     #[command(flatten)]
     connection: ConnectionArgs,
 }
@@ -120,8 +116,11 @@ pub(crate) fn serve(args: &ServeArgs, out: &mut dyn Write) -> io::Result<u8> {
         Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
     };
     let (driver, speed_scale, dry) = (args.driver.clone(), args.speed_scale, args.dry);
-    let live_port = args.live.then_some(args.live_port);
-    let service = RobotService { driver, offered, model, speed_scale, dry, live_port };
+    let live = match args.live.address(&args.connection) {
+        Ok(address) => Some(address).filter(|_| args.live.live),
+        Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
+    };
+    let service = RobotService { driver, offered, model, speed_scale, dry, live };
     let console: Arc<dyn Console> = Arc::new(Terminal::for_notes(false));
     let served = connection.runtime().block_on(async {
         for endpoint in connection.session().endpoints().await {

@@ -5,11 +5,13 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_bus::SessionConfig;
 use armarium_host::{Address, Console, HostError, LiveOptions, RobotAt, RunConfig, RunEnded};
 use armarium_values::Type;
+use armarium_viewer::live::PageAddress;
 use serde_json::json;
 
-use crate::connection_args::{ConnectionArgs, explained};
+use crate::connection_args::{AccessArgs, ConnectionArgs, LiveArgs, explained};
 use crate::console::{JsonLines, Terminal, refuse};
 use crate::logging;
 use crate::stopped::stopped;
@@ -77,24 +79,22 @@ pub(crate) struct RunArgs {
     /// Multiply all commanded velocities, for instance `0.05` for the first try with a real arm.
     #[arg(long, value_name = "FACTOR")]
     pub(crate) speed_scale: Option<f64>,
-    /// Serve a page of this machine that shows the run while it goes on; its address is printed first.
-    #[arg(long)]
-    pub(crate) live: bool,
-    /// The same, and the page may act: pause, step, breakpoints, events, stop.
+    #[command(flatten)]
+    pub(crate) live: LiveArgs,
+    /// As --live, and the page may act: pause, step, breakpoints, events, outcomes of skills, stop.
     #[arg(long)]
     pub(crate) live_control: bool,
-    /// The same, and the program stays after the run's end until Ctrl-C, so that the page can look back.
+    /// As --live, and the program stays after the run's end until Ctrl-C, so that the page can look back.
     #[arg(long)]
     pub(crate) live_hold: bool,
-    /// The port of the page; 0 is any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = 0)]
-    pub(crate) live_port: u16,
     /// Serve the topics of the recording to Foxglove on this port of this machine (0: one that is free); its address is printed.
     #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
     pub(crate) foxglove: Option<u16>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
+    #[command(flatten)]
+    pub(crate) access: AccessArgs,
     /// Record the run for `armarium replay`.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
@@ -151,9 +151,9 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Err(error) = logging::check_environment() {
         return writeln!(out, "error: {error}").map(|()| 2);
     }
-    let session = match args.connection.config() {
-        Ok(session) => Some(session).filter(|_| args.connection.is_given()),
-        Err(error) => return writeln!(out, "error: {}", explained(&error)).map(|()| 2),
+    let (session, address) = match reached(args) {
+        Ok(reached) => reached,
+        Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
     };
     let config = RunConfig {
         charts: args.charts.clone(),
@@ -179,8 +179,8 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         program: std::env::current_exe().ok(),
         longest: args.longest,
         largest_recording: args.largest_recording,
-        live: (args.live || args.live_control || args.live_hold)
-            .then_some(LiveOptions { port: args.live_port, control: args.live_control }),
+        live: Some(LiveOptions { address, control: args.live_control })
+            .filter(|_| args.live.live || args.live_control || args.live_hold),
         #[cfg(feature = "foxglove")]
         foxglove_port: args.foxglove,
         ..RunConfig::new(&args.chart)
@@ -196,6 +196,17 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(stopped());
     }
     Ok(status)
+}
+
+/// How others reach the run, and where its page is served.
+fn reached(args: &RunArgs) -> Result<(Option<SessionConfig>, PageAddress), String> {
+    let mut session = args.connection.config().map_err(|error| explained(&error))?;
+    if let Some(access) = args.access.of(args.name.as_deref().unwrap_or_default()) {
+        let no_name = |error| format!("who may reach the run: {error}; `--name` says by what name");
+        session.access_control = Some(access.rules().map_err(no_name)?);
+    }
+    let address = args.live.address(&args.connection).map_err(|error| error.to_string())?;
+    Ok((Some(session).filter(|_| args.connection.is_given()), address))
 }
 
 /// Prints how the run ended. Returns the exit status.

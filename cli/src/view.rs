@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_host::{Connection, HostError, RemoteRun};
-use armarium_viewer::live::{LivePage, ShownRun, ShownTimeline, Timeline};
+use armarium_viewer::live::{LivePage, PageAddress, ShownRun, ShownTimeline, Timeline};
 
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::stopped::stopped;
@@ -91,7 +91,7 @@ fn follow(args: &ViewArgs, agent: &str, out: &mut dyn Write) -> io::Result<u8> {
 
 /// Serves a page, and says where; `None` when the port is taken.
 fn open(port: u16, runs: Vec<Arc<dyn ShownRun>>, out: &mut dyn Write) -> io::Result<Option<LivePage>> {
-    let page = match LivePage::open(port, runs, Vec::new()) {
+    let page = match LivePage::open(&PageAddress::loopback(port), runs.into_iter().collect(), Vec::new()) {
         Ok(page) => page,
         Err(error) => return writeln!(out, "error: port {port} of this machine: {error}").map(|()| None),
     };

@@ -69,7 +69,7 @@ impl Run {
         let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let mut said = BufReader::new(child.stderr.take().unwrap());
         let (mut url, mut before) = (String::new(), String::new());
-        while !url.starts_with("http://127.0.0.1:") {
+        while !(url.starts_with("http://127.0.0.1:") || url.starts_with("https://127.0.0.1:")) {
             before.push_str(&std::mem::take(&mut url));
             assert_ne!(said.read_line(&mut url).unwrap(), 0, "it has printed no address: {before}");
         }
@@ -239,13 +239,18 @@ fn browser() -> Option<(PathBuf, PathBuf)> {
 
 /// Plays a scenario of `live/page.mjs` at an address. Its pictures stay where `ARMARIUM_PICTURES` says.
 fn play(scenario: &str, url: &str) -> Option<Json> {
-    let (modules, chromium) = browser()?;
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/page.mjs");
     let folder = tempfile::tempdir().unwrap();
     let pictures = std::env::var_os("ARMARIUM_PICTURES").map_or(folder.path().to_owned(), PathBuf::from);
+    play_into(scenario, url, &pictures)
+}
+
+/// As [`play`], with its pictures in a folder.
+fn play_into(scenario: &str, url: &str, pictures: &Path) -> Option<Json> {
+    let (modules, chromium) = browser()?;
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/page.mjs");
     let mut node = Command::new("node");
     let played =
-        node.arg(script).arg(modules).arg(chromium).arg(scenario).arg(url).arg(&pictures).output().unwrap();
+        node.arg(script).arg(modules).arg(chromium).arg(scenario).arg(url).arg(pictures).output().unwrap();
     let (out, err) = (String::from_utf8_lossy(&played.stdout), String::from_utf8_lossy(&played.stderr));
     assert!(played.status.success(), "{scenario}: {err}");
     Some(serde_json::from_str(&out).unwrap())
@@ -318,11 +323,88 @@ fn a_browser_follows_a_run_of_another_agent() {
 }
 
 #[test]
+fn beyond_this_machine_only_who_was_given_the_address_looks() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = rcgen::generate_simple_self_signed(["127.0.0.1".to_owned()]).unwrap();
+    let [certificate, key] = ["certificate.pem", "key.pem"].map(|name| folder.path().join(name));
+    std::fs::write(&certificate, made.cert.pem()).unwrap();
+    std::fs::write(&key, made.signing_key.serialize_pem()).unwrap();
+    let [certificate, key] = [certificate, key].map(|file| file.display().to_string());
+    let secured = ["--ca", &certificate, "--certificate", &certificate, "--key", &key];
+    let options = [&["--live-hold", "--live-address", "127.0.0.1", "--for", "12s"], &secured[..]].concat();
+    let run = Run::start(SWINGS, &options);
+    assert!(run.url.starts_with("https://") && run.url.contains("/?token="), "{}", run.url);
+    let Some(found) = play("invited", &run.url) else { return };
+    assert_eq!(found["outcome"], "stopped");
+    let address = run.url.trim_start_matches("https://").split('/').next().unwrap().to_owned();
+    let mut plain = TcpStream::connect(&address).unwrap();
+    plain.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+    plain.write_all(format!("GET /run HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
+    let mut said = Vec::new();
+    let _ = plain.read_to_end(&mut said);
+    assert!(!String::from_utf8_lossy(&said).contains("HTTP"), "without TLS nothing is said");
+}
+
+/// How much two pictures of a view differ: means over blocks of 32 pixels, so that fonts and smoothing do not count. The mean of the
+/// differences (of 255), and the share of blocks that differ by more than 40.
+fn difference(a: &Path, b: &Path) -> (f64, f64) {
+    let blocks = |file: &Path| {
+        let picture =
+            image::open(file).unwrap_or_else(|error| panic!("{}: {error}", file.display())).to_rgb8();
+        image::imageops::resize(&picture, 43, 24, image::imageops::FilterType::Triangle)
+    };
+    let (a, b) = (blocks(a), blocks(b));
+    let levels: Vec<f64> = a.iter().zip(b.iter()).map(|(a, b)| f64::from(a.abs_diff(*b))).collect();
+    let share = levels.iter().filter(|level| **level > 40.0).count() as f64 / levels.len() as f64;
+    (levels.iter().sum::<f64>() / levels.len() as f64, share)
+}
+
+/// A finished run looks as it did. With `GOLDEN=write` the pictures are written again: look at them.
+#[test]
+fn every_view_looks_as_it_did() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("chart.yaml"), SWINGS).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    command.args(["run", "chart.yaml", "--for", "4s"]).current_dir(folder.path());
+    assert_eq!(command.output().unwrap().status.code(), Some(1), "stopped");
+    let view = View::start(&[&folder.path().join("report/run.mcap").display().to_string()]);
+    let Some(taken) = play_into("views", &view.url, folder.path()) else { return };
+    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/views");
+    let names: Vec<&str> = taken.as_array().unwrap().iter().filter_map(Json::as_str).collect();
+    assert_eq!(names.len(), 7, "{names:?}");
+    for name in &names {
+        let (now, before) = (folder.path().join(format!("{name}.png")), kept.join(format!("{name}.png")));
+        if std::env::var("GOLDEN").is_ok_and(|what| what == "write") {
+            std::fs::create_dir_all(&kept).unwrap();
+            let picture = image::open(&now).unwrap().to_rgb8();
+            let (width, height) = (picture.width() / 2, picture.height() / 2);
+            image::imageops::resize(&picture, width, height, image::imageops::FilterType::Triangle)
+                .save(&before)
+                .unwrap();
+        }
+        let (mean, share) = difference(&now, &before);
+        assert!(
+            mean < 5.0 && share < 0.05,
+            "{name} differs: {mean:.1} in the mean, {share:.2} of the blocks"
+        );
+    }
+    // Views differ by more than that from each other: the comparison can fail.
+    for other in &names[1..] {
+        let (mean, share) =
+            difference(&kept.join(format!("{other}.png")), &kept.join(format!("{}.png", names[0])));
+        assert!(mean > 5.0 || share > 0.05, "{other}: {mean:.1}, {share:.2}");
+    }
+}
+
+#[test]
 fn a_browser_pauses_steps_and_goes_on() {
     let run = Run::start(SWINGS, &["--live-control", "--live-hold"]);
     let Some(found) = play("act", &run.url) else { return };
     assert!(found["stopped"].as_array().unwrap().contains(&"Swing.Back".into()), "{found}");
-    assert_eq!(found["outcome"], "success");
+    assert_eq!(found["outcome"], "failure");
+    assert!(found["problem"].as_str().unwrap().contains("somebody chose that it fails"), "{found}");
+    let trace = run.get("/run", "");
+    assert!(trace.contains(r#""action":"outcome failure of Swing.There""#), "it is in the trace");
 }
 
 #[test]

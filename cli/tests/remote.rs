@@ -141,6 +141,36 @@ fn run(folder: &Path, endpoint: &str) -> Running {
     Running::start(folder, &args)
 }
 
+#[test]
+fn the_live_page_of_an_agent_lists_the_charts_that_others_start() {
+    let main = "statechart: Main\ninitial: Work\nstates: {Work: {remote: bob/Dance, with: {steps: 3}, transitions: {success: Done}}, Done: {final: success}}\n";
+    let folder = folder(main);
+    let args = ["agent", "--name", "bob", "bob", "--store", "bob.redb", "--verbose", "--live"];
+    let mut bob = Running::start(folder.path(), &args);
+    let page = bob.wait_for("http://127.0.0.1:");
+    let address = page.trim().trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let line = bob.wait_for("listens on ");
+    let endpoint = line.split("listens on ").nth(1).unwrap().trim().to_owned();
+    for _ in 0..2 {
+        let (status, said) = run(folder.path(), &endpoint).end();
+        assert_eq!(status, Some(0), "{said}");
+    }
+    let ask = |path: &str| {
+        let mut stream = TcpStream::connect(&address).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+        std::io::read_to_string(stream).unwrap()
+    };
+    let listed = ask("/runs");
+    assert_eq!(listed.matches(r#"{"number":"#).count(), 3, "{listed}");
+    assert!(
+        listed.contains(r#""title":"bob""#) && listed.matches(r#""title":"Dance""#).count() == 2,
+        "{listed}"
+    );
+    let second = ask("/runs/2/run");
+    assert!(second.contains(r#""outcome":"success""#) && second.contains("Turning"), "{second}");
+    assert!(ask("/runs/2/").contains("<title>Armarium</title>"));
+}
+
 const WAITING: &str = "statechart: Main\ninitial: Work\nstates: {Work: {remote: bob/Wait}}\n";
 
 /// The seconds of silence in the reason that a lost agent gives.

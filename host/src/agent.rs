@@ -17,6 +17,7 @@ use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
 use armarium_source::{Disk, Files as _, outermost};
 use armarium_states::observers;
+use armarium_viewer::live::PageAddress;
 use armarium_visionx::providers::{StereoProvider, offer as offer_images};
 use tokio::task::JoinSet;
 
@@ -28,7 +29,7 @@ use crate::console::Console;
 use crate::error::HostError;
 use crate::live::{self, RecordedEvents, ServiceView};
 use crate::names::Names;
-use crate::recording::{SharedRecorder, record_robot};
+use crate::recording::record_robot;
 use crate::remote_eyes;
 use crate::side_tasks;
 use crate::simulated::{StagedRobot, memory_of_agent};
@@ -96,12 +97,11 @@ async fn serve_agent(
     let cameras = StereoProvider::new(Arc::clone(&backend.equipment.images), frame);
     let _cameras = offer_images(session, &config.name, Arc::new(cameras)).await?;
     console.world_begins(Arc::clone(&backend.clock));
-    let view = match config.live_port {
-        Some(port) => Some(show(port, config, (session, &memory), &backend, console).await?),
+    let view = match &config.live {
+        Some(address) => Some(Arc::new(show(address, config, (session, &memory), &backend, console).await?)),
         None => None,
     };
-    let recorder = view.as_ref().map(|view| view.recorder.clone());
-    let ended = act(config, (session, agents), (backend, recorder), until, console).await?;
+    let ended = act(config, (session, agents), (backend, view), until, console).await?;
     if let Err(error) = memory.flush() {
         console.note(&format!("warning: what was learned was not kept: {error}"));
     }
@@ -110,7 +110,7 @@ async fn serve_agent(
 
 /// Opens the agent's live page: its robot, its memory, and the chart that it runs itself.
 async fn show(
-    port: u16,
+    address: &PageAddress,
     config: &AgentConfig,
     (session, memory): (&Session, &AgentMemory),
     backend: &Backend,
@@ -120,7 +120,8 @@ async fn show(
     let outline = chart.unwrap_or(Outline { states: Vec::new(), transitions: Vec::new() });
     let (robot, known) = (&backend.equipment.robot, (&backend.registry, backend.equipment.robot.model()));
     let title = (config.name.as_str(), format!("the robot `{}`", robot.model().name()));
-    let view = ServiceView::open(port, title, outline, (known.0, known.1.as_ref()), session, console).await?;
+    let view =
+        ServiceView::open(address, title, outline, (known.0, known.1.as_ref()), session, console).await?;
     let recorder = || view.recorder.clone();
     // Both end with what they record.
     record_robot(robot, side_tasks::sensor_of(&backend.equipment), recorder());
@@ -133,12 +134,15 @@ async fn show(
 async fn act(
     config: &AgentConfig,
     (session, agents): (&Session, &Agents),
-    (backend, recorder): (Backend, Option<SharedRecorder>),
+    (backend, view): (Backend, Option<Arc<ServiceView>>),
     until: impl Future<Output = ()>,
     console: &dyn Console,
 ) -> Result<Option<RunResult>, HostError> {
     let Backend { equipment, registry, task, observes, clock } = backend;
-    let sink = recorder.map(|recorder| Box::new(RecordedEvents { recorder, clock }) as Box<dyn TraceSink>);
+    let sink = view.as_ref().map(|view| {
+        let (recorder, clock) = (view.recorder.clone(), Arc::clone(&clock));
+        Box::new(RecordedEvents { recorder, clock, ends: None }) as Box<dyn TraceSink>
+    });
     let mut registry = registry.with_names(Arc::new(Names::of_agent(equipment.robot.model())));
     let channels = Channels::new().with_memory(observers::memory(&equipment));
     let robot = Arc::clone(&equipment.robot);
@@ -151,8 +155,12 @@ async fn act(
     for file in chart_files(&config.offered)? {
         let program = load(&file, config, &mut registry, agents, console).await?;
         charts.push(program.name().to_owned());
-        let skill = offered(&file, config, program, &registry, &stop);
-        offers.add(Arc::new(skill.with_peers(peers.clone())))?;
+        let mut skill = offered(&file, config, program, &registry, &stop).with_peers(peers.clone());
+        if let Some(view) = &view {
+            let outline = live::outline_of(&file, &config.charts);
+            skill = skill.traced(live::shown_runs(view, outline, &registry, &clock));
+        }
+        offers.add(Arc::new(skill))?;
     }
     let skills: Vec<String> = registry.manifests().map(|m| m.name.clone()).collect();
     for skill in skills.iter().filter_map(|name| registry.get(name)) {

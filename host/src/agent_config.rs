@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use armarium_bus::{Access, SessionConfig};
 use armarium_memoryx::{Followee, Policies, Retention};
+use armarium_viewer::live::PageAddress;
 
 use crate::address::Address;
 use crate::catalog::SkillFactory;
@@ -41,8 +42,8 @@ pub struct AgentConfig {
     pub access: Option<Access>,
     /// Additional skills.
     pub skills: Vec<SkillFactory>,
-    /// The port of this machine on which its live page is served, 0 for any that is free; `None` serves none.
-    pub live_port: Option<u16>,
+    /// Where its live page is served; `None` serves none.
+    pub live: Option<PageAddress>,
 }
 
 impl AgentConfig {
@@ -63,7 +64,7 @@ impl AgentConfig {
             session: SessionConfig::default(),
             access: None,
             skills: Vec::new(),
-            live_port: None,
+            live: None,
         }
     }
 }

@@ -118,12 +118,10 @@ pub enum HostError {
         why: String,
     },
     /// The live page cannot be served.
-    #[error(
-        "the live page cannot listen on port {port} of this machine: {source}; `--live-port 0` takes one that is free"
-    )]
+    #[error("the live page cannot listen at {address}: {source}; `--live-port 0` takes a port that is free")]
     Live {
-        /// The port.
-        port: u16,
+        /// The address.
+        address: String,
         /// The operating system's error.
         source: std::io::Error,
     },

@@ -11,7 +11,7 @@ use std::time::Duration;
 use armarium_bus::Session;
 use armarium_robot::Model;
 use armarium_runtime::chart::{self, Outline, Registry};
-use armarium_runtime::exec::{Controller, TraceSink};
+use armarium_runtime::exec::{Controller, SinkOfRun, TraceSink};
 use armarium_runtime::trace::{TraceEvent, TraceItem};
 use armarium_simulator::render::{Shape, VisibleForm};
 use armarium_simulator::{Simulation, TruthSample, TruthSink, World};
@@ -19,12 +19,13 @@ use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::chart::{Unfold, unfold};
 use armarium_viewer::live::{
-    Action, ActionRefused, Control, LivePage, NewestImage, RunHeader, ServedTimeline, ShownRun,
-    ShownTimeline, Solid, SolidForm, Timeline, solids_of,
+    Action, ActionRefused, Control, LivePage, NewestImage, PageAddress, RunHeader, ServedTimeline, ShownRun,
+    ShownRuns, ShownTimeline, Solid, SolidForm, Timeline, solids_of,
 };
 use armarium_viewer::recorder::Recorder;
 use armarium_visionx::StereoFrame;
 use futures::FutureExt as _;
+use futures::future::BoxFuture;
 use parking_lot::{Condvar, Mutex};
 
 use crate::connection::Connection;
@@ -41,6 +42,8 @@ use crate::signals::signalled;
 const ACTIONS: &str = "/live/actions";
 /// How long the end of a run may take to reach who looks.
 const END_WITHIN: Duration = Duration::from_millis(500);
+/// Bytes of events that are kept of one chart among many.
+const MOST_BYTES_OF_ONE: usize = 256 << 10;
 /// The frame of the coach's hand or tool, as the recording names it.
 const COACH: &str = "coach";
 /// How large the coach's hand is shown, m, and its colour.
@@ -70,7 +73,7 @@ impl std::fmt::Debug for OpenPage {
 
 impl OpenPage {
     /// Where it is.
-    pub fn url(&self) -> String {
+    pub fn url(&self) -> &str {
         self.page.url()
     }
 
@@ -153,13 +156,15 @@ struct Acting {
 }
 
 impl Acting {
-    /// Every action stands in the recording and in the report.
+    /// Every action stands in the trace, the recording and the report.
     fn note(&self, what: String) {
         let now_ns = self.clock.now_ns();
         let line = format!("{:.2} s {what}", now_ns as f64 * 1e-9);
-        let message = serde_json::json!({"what": what});
+        let message = serde_json::json!({"what": &what});
         self.recorder.write(|recorder| recorder.json(ACTIONS, now_ns, &message));
         self.acted.lock().push(line);
+        // A run that has ended has no trace any more.
+        let _ = self.controller.acted(what);
     }
 }
 
@@ -191,6 +196,12 @@ impl Control for Acting {
                 // The run may end with it.
                 self.note(format!("event {name}"));
                 if !self.controller.raise(name, Value::from_json(&data)) {
+                    return refused("the queue of events is full, or the run has ended");
+                }
+            }
+            Action::Outcome { state, outcome } => {
+                self.note(format!("outcome {outcome} of {state}"));
+                if !self.controller.choose(state, outcome) {
                     return refused("the queue of events is full, or the run has ended");
                 }
             }
@@ -249,12 +260,9 @@ impl Live {
             }
             None => None,
         };
-        let (telling, gate) = (Arc::clone(&run), self.gate.clone());
-        let beside = vec![async move { telling.tell().await }.boxed(), open_at_signals(gate).boxed()];
-        let shown = vec![Arc::clone(&run) as Arc<dyn ShownRun>];
-        let page = LivePage::open(options.port, shown, beside)
-            .map_err(|source| HostError::Live { port: options.port, source })?;
-        console.page(&page.url());
+        let shown = [Arc::clone(&run) as Arc<dyn ShownRun>].into_iter().collect();
+        let page = open_page(&options.address, shown, vec![open_at_signals(self.gate.clone()).boxed()])?;
+        console.page(page.url());
         self.open = Some(OpenPage { run, page, _offer: offer, network: None });
         Ok(acted)
     }
@@ -273,6 +281,7 @@ impl Live {
 /// The page of something that serves others until it is ended, such as an agent: what is recorded of it goes to the page alone.
 pub(crate) struct ServiceView {
     pub(crate) recorder: SharedRecorder,
+    runs: ShownRuns,
     _page: LivePage,
     _offer: LiveOffer,
 }
@@ -283,7 +292,7 @@ impl ServiceView {
     /// # Errors
     /// [`HostError::Live`] when the port cannot be listened on; the errors of the session.
     pub(crate) async fn open(
-        port: u16,
+        address: &PageAddress,
         (title, subtitle): (&str, String),
         outline: Outline,
         (manifests, model): (&Registry, &Model),
@@ -297,25 +306,72 @@ impl ServiceView {
         let run = ShownTimeline { timeline, ..ShownTimeline::default() }.served();
         let threads = tokio::runtime::Handle::current();
         let offer = LiveOffer::start((session, &threads), title, Arc::clone(&run)).await?;
-        let telling = Arc::clone(&run);
-        let beside = vec![async move { telling.tell().await }.boxed()];
-        let page = LivePage::open(port, vec![run as Arc<dyn ShownRun>], beside)
-            .map_err(|source| HostError::Live { port, source })?;
-        console.page(&page.url());
-        Ok(Self { recorder, _page: page, _offer: offer })
+        let runs: ShownRuns = [run as Arc<dyn ShownRun>].into_iter().collect();
+        let page = open_page(address, runs.clone(), Vec::new())?;
+        console.page(page.url());
+        Ok(Self { recorder, runs, _page: page, _offer: offer })
+    }
+
+    /// Shows one more run, of a chart that others have started, and records its events.
+    ///
+    /// # Errors
+    /// When it cannot be recorded.
+    pub(crate) fn add(&self, header: &RunHeader, clock: WorldClock) -> Result<RecordedEvents, HostError> {
+        let timeline = Timeline::bounded(MOST_BYTES_OF_ONE);
+        timeline.begin(header);
+        let recorder = SharedRecorder::default();
+        recorder.begin(Recorder::without_file(Arc::new(timeline.clone()))?);
+        self.runs.add(ShownTimeline { timeline: timeline.clone(), ..ShownTimeline::default() }.served());
+        Ok(RecordedEvents { recorder, clock, ends: Some(timeline) })
     }
 }
 
-/// Records the events of an agent's own chart.
+fn open_page(
+    address: &PageAddress,
+    runs: ShownRuns,
+    beside: Vec<BoxFuture<'static, ()>>,
+) -> Result<LivePage, HostError> {
+    let refused = |source| HostError::Live { address: address.to_string(), source };
+    LivePage::open(address, runs, beside).map_err(refused)
+}
+
+/// Shows each run of a chart that others start.
+pub(crate) fn shown_runs(
+    view: &Arc<ServiceView>,
+    outline: Outline,
+    manifests: &Registry,
+    clock: &WorldClock,
+) -> SinkOfRun {
+    let title = outline.states.first().map_or_else(String::new, |chart| chart.name.clone());
+    let header =
+        RunHeader::new((&title, "started by others".into()), outline, manifests.manifests(), Vec::new());
+    let (view, clock) = (Arc::clone(view), Arc::clone(clock));
+    Arc::new(move || match view.add(&header, Arc::clone(&clock)) {
+        Ok(sink) => Some(Box::new(sink) as Box<dyn TraceSink>),
+        Err(error) => {
+            tracing::warn!("a run is not shown: {error}");
+            None
+        }
+    })
+}
+
+/// Records the events of an agent's chart.
 pub(crate) struct RecordedEvents {
     pub(crate) recorder: SharedRecorder,
     pub(crate) clock: WorldClock,
+    /// The timeline that ends with the chart, where it is of this chart alone.
+    pub(crate) ends: Option<Timeline>,
 }
 
 impl TraceSink for RecordedEvents {
     fn record(&mut self, event: &TraceEvent) {
         if let Ok(json) = serde_json::to_value(event) {
             self.recorder.write(|recorder| recorder.event((self.clock)(), &json));
+        }
+        if let (Some(timeline), TraceItem::Finished { outcome, reason, chain, .. }) =
+            (&self.ends, &event.item)
+        {
+            timeline.end(serde_json::json!({"outcome": outcome, "reason": reason, "chain": chain}));
         }
     }
 }

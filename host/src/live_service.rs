@@ -80,7 +80,7 @@ impl LiveOffer {
             loop {
                 look.tick().await;
                 if interest.has_subscribers() {
-                    tell(&session, &news, &interest, run.news()).await;
+                    tell(&session, &news, &interest, Arc::clone(&run).news()).await;
                 }
             }
         });
@@ -189,8 +189,12 @@ impl ShownRun for RemoteRun {
         self.ask(question).map(move |asked| asked.unwrap_or_else(gone)).boxed()
     }
 
-    fn news(&self) -> broadcast::Receiver<Arc<[u8]>> {
+    fn news(self: Arc<Self>) -> broadcast::Receiver<Arc<[u8]>> {
         self.news.subscribe()
+    }
+
+    fn named(&self) -> (String, Option<String>) {
+        (self.agent.clone(), None)
     }
 
     fn may_act(&self) -> bool {

@@ -10,6 +10,7 @@ use armarium_bus::Session;
 use armarium_robot::driver::{DriverError, DryDriver, GuardedDriver, RemoteDriver};
 use armarium_robot::{Guard, GuardConfig, GuardedRobot, Model, Robot, RobotServer};
 use armarium_runtime::chart::{Outline, Registry};
+use armarium_viewer::live::PageAddress;
 
 use crate::address::Address;
 use crate::console::Console;
@@ -33,8 +34,8 @@ pub struct RobotService {
     pub speed_scale: f64,
     /// Whether no targets are sent: nothing moves.
     pub dry: bool,
-    /// The port of this machine on which a live page shows it, 0 for any that is free; `None` serves none.
-    pub live_port: Option<u16>,
+    /// Where a live page shows it; `None` serves none.
+    pub live: Option<PageAddress>,
 }
 
 /// Ends a guard's thread when whoever waits for it is dropped.
@@ -58,8 +59,8 @@ impl RobotService {
         let (mut guard, robot) = self.guarded(speed_scale)?;
         guard.end(&format!("its driver `{}/{}` has not been found yet", self.driver.agent, self.driver.name));
         let mut server = RobotServer::start(session, (agent, name), robot).await?;
-        let view = match self.live_port {
-            Some(port) => Some(self.show(port, session, &**console).await?),
+        let view = match &self.live {
+            Some(address) => Some(self.show(address, session, &**console).await?),
             None => None,
         };
         loop {
@@ -99,7 +100,7 @@ impl RobotService {
     /// Opens a page that shows how the robot moves.
     async fn show(
         &self,
-        port: u16,
+        address: &PageAddress,
         session: &Session,
         console: &dyn Console,
     ) -> Result<ServiceView, HostError> {
@@ -111,7 +112,8 @@ impl RobotService {
             self.driver.name
         );
         let title = (self.offered.agent.as_str(), subtitle);
-        ServiceView::open(port, title, nothing, (&Registry::default(), &self.model), session, console).await
+        ServiceView::open(address, title, nothing, (&Registry::default(), &self.model), session, console)
+            .await
     }
 
     /// A guard without a driver yet, and the robot above it.

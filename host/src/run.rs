@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Registry;
-use armarium_runtime::exec::{Controller, Executor, RunResult};
+use armarium_runtime::exec::{Controller, RunResult};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
@@ -159,12 +159,15 @@ async fn perform(
     );
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
     stage.open_recording(config, &chart, &world.world, &header, &**console)?;
+    // Before anybody can hold up the run through its page.
+    let stopping = tokio::spawn(side_tasks::stop_on_signal(executor.controller()));
     let virtual_time = workers == Workers::Joined;
     let page =
         stage.open_page(config, (executor.controller(), virtual_time), &logger.log, network, console).await?;
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
-    let mut tasks = stage.side_tasks(&executor, &logger, &joints, console, began);
+    let mut tasks = stage.side_tasks(&logger, &joints, console, began);
+    tasks.push(stopping);
     tasks.extend(config.longest.map(|longest| {
         let clock = stage.robot.handle.clone();
         tokio::spawn(side_tasks::stop_after(longest, clock, executor.controller()))
@@ -405,7 +408,6 @@ impl Stage {
     /// The tasks beside the chart.
     fn side_tasks(
         &self,
-        executor: &Executor,
         logger: &RunLogger,
         joints: &Arc<Mutex<JointLog>>,
         console: &Arc<dyn Console>,
@@ -425,7 +427,6 @@ impl Stage {
                 Arc::new(move || handle.now_ns()),
             )),
             tokio::spawn(side_tasks::log_joints(equipment.clone(), Arc::clone(joints))),
-            tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
             tokio::spawn(side_tasks::show_progress(
                 Arc::clone(console),
                 equipment.clone(),

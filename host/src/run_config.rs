@@ -6,6 +6,7 @@ use std::time::Duration;
 use armarium_bus::SessionConfig;
 use armarium_runtime::chart;
 use armarium_simulator::World;
+use armarium_viewer::live::PageAddress;
 
 use crate::catalog::SkillFactory;
 use crate::driven::RobotAt;
@@ -13,8 +14,8 @@ use crate::driven::RobotAt;
 /// The page of a run.
 #[derive(Clone, Debug, Default)]
 pub struct LiveOptions {
-    /// The port; 0 is any that is free.
-    pub port: u16,
+    /// Where it is served.
+    pub address: PageAddress,
     /// Whether the page may act.
     pub control: bool,
 }

@@ -119,9 +119,10 @@ pub(crate) fn sensor_of(equipment: &Equipment) -> Option<usize> {
     equipment.robot.model().find_limb(equipment.works.as_deref()?)?.wrench
 }
 
-/// A signal stops the robot first: all skills are cancelled and have returned before the report is written.
-pub(crate) async fn stop_on_signal(controller: Controller) {
-    controller.stop(format!("stopped by {}", signalled().await));
+/// A signal stops the robot first: all skills are cancelled and have returned before the report is written. It is heard from the call on.
+pub(crate) fn stop_on_signal(controller: Controller) -> impl Future<Output = ()> {
+    let signalled = signalled();
+    async move { controller.stop(format!("stopped by {}", signalled.await)) }
 }
 
 /// Ends the run after a time of the robot, which goes more slowly than real time on a busy machine.

@@ -43,6 +43,11 @@ pub enum TraceItem {
         /// Why it was dropped.
         reason: String,
     },
+    /// Somebody acted on the run from outside, such as through its live page.
+    Acted {
+        /// What was done.
+        action: String,
+    },
     /// An event is held back until an unbreakable state ends.
     Held {
         /// Its name.

@@ -48,6 +48,35 @@ const scenarios = {
     await page.click('#tab-overview');
     return { during, outcome, back, entities };
   },
+  // Every view of a finished run at one time, on a laptop, in the dark, and on a phone.
+  async views() {
+    const names = [];
+    const at = async (page, view, name) => {
+      await page.keyboard.press('Home');
+      await page.keyboard.press('.');
+      await page.click(`#tab-${view}`);
+      await page.waitForTimeout(1500);
+      await picture(page, name); names.push(name);
+    };
+    const page = await open();
+    for (const view of ['overview', 'chart', 'world', 'time', 'memory']) await at(page, view, view);
+    const dark = await open({ width: 1366, height: 768 }, { colorScheme: 'dark' });
+    await at(dark, 'overview', 'dark');
+    const phone = await open({ width: 390, height: 844 }, { hasTouch: true });
+    await at(phone, 'chart', 'phone');
+    return names;
+  },
+  // Beyond this machine: the address without its token shows nothing, with it all.
+  async invited() {
+    const context = await browser.newContext({ ignoreHTTPSErrors: true }), stranger = await context.newPage();
+    const bare = await stranger.goto(url.split('?')[0]);
+    expect(bare.status() === 403 && (await bare.text()).includes('the whole address'), 'who has no token is told what to open');
+    const page = await open(undefined, { ignoreHTTPSErrors: true });
+    expect(!page.url().includes('token'), 'the token does not stay in the address');
+    await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    await ended(page);
+    return { outcome: await badge(page) };
+  },
   // Two runs beside each other show the same time.
   async compare() {
     const page = await open({ width: 1600, height: 900 }, {}, 'iframe');
@@ -90,9 +119,15 @@ const scenarios = {
     const stopped = await active(page);
     await picture(page, 'breakpoint');
     await page.click('.detail button:has-text("no breakpoint")');
+    // After the next transition the skill ends as somebody chooses.
+    await page.click('#acting button:has-text("step")');
+    await page.waitForFunction(() => document.getElementById('badge').textContent === 'paused' && document.querySelector('[data-state="Swing.There"].active'), null, { timeout: 60000 });
+    await page.locator('[data-state="Swing.There"]').focus(); await page.keyboard.press('Enter');
+    await page.click('.detail button:text-is("failure")');
+    await picture(page, 'outcome');
     await page.click('#acting button:has-text("go on")');
     await ended(page);
-    return { stopped, outcome: await badge(page) };
+    return { stopped, outcome: await badge(page), problem: await page.textContent('#problem') };
   },
   // First paint, from an event to what is shown, images of the world a second, and growth.
   async measure() {

@@ -325,7 +325,8 @@ impl Engine {
             let Kind::Skill { manifest } = &of.kind else { continue };
             let skill = manifest.name.clone();
             let activation = self.number();
-            self.extra(state).skill = SkillRun::Running(activation);
+            let extra = self.extra(state);
+            (extra.skill, extra.chosen) = (SkillRun::Running(activation), None);
             self.skills.insert(activation, state);
             turn.trace(|_| TraceItem::SkillStarted {
                 activation,

@@ -6,9 +6,9 @@ use armarium_values::Value;
 
 use super::event::{Event, Origin};
 use super::state::{SkillRun, StateStatus, Step, Timer, TimerUse, Turn};
-use super::{Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
+use super::{Effect, Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
 use crate::program::{AFTER, Kind, RETRY, StateId};
-use crate::skill::SkillResult;
+use crate::skill::{Failure, Outcome, SkillResult};
 
 impl Engine {
     /// The rarely needed data of a state, created on first use.
@@ -72,9 +72,38 @@ impl Engine {
         }
     }
 
+    /// Cancels the skill of a state that is to end with this outcome.
+    pub(super) fn choose(&mut self, path: &str, outcome: String, turn: &mut Turn<'_>) {
+        let program = turn.program;
+        let running = self.skills.iter().find(|(_, state)| program.path(**state) == path);
+        let running = running.map(|(activation, state)| (*activation, *state));
+        let chosen = match running.map(|(activation, state)| (activation, state, &program.state(state).kind))
+        {
+            Some((activation, state, Kind::Skill { manifest })) if manifest.has_outcome(&outcome) => {
+                Ok((activation, state, manifest.grace))
+            }
+            Some(_) => Err(format!("the skill of `{path}` has no such outcome")),
+            None => Err(format!("no skill runs in `{path}`")),
+        };
+        match chosen {
+            Ok((activation, state, grace)) => {
+                self.extra(state).chosen = Some(outcome);
+                turn.out.push(Effect::Cancel { activation, grace });
+            }
+            Err(reason) => turn.trace(|_| TraceItem::Dropped { name: outcome, reason }),
+        }
+    }
+
     pub(super) fn skill_ended(&mut self, activation: u64, result: SkillResult, turn: &mut Turn<'_>) {
         let Some(state) = self.skills.remove(&activation) else { return };
         let cancelled = self.extra(state).skill == SkillRun::Cancelling(activation);
+        let result = match self.extra(state).chosen.take() {
+            Some(failure) if failure == "failure" => Err(Failure::new("somebody chose that it fails")),
+            Some(name) => {
+                Ok(Outcome { name, outputs: result.map(|given| given.outputs).unwrap_or_default() })
+            }
+            None => result,
+        };
         turn.trace(|p| {
             let (outcome, reason, outputs) = match &result {
                 _ if cancelled => ("cancelled", None, BTreeMap::new()),

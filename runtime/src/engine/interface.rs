@@ -26,6 +26,13 @@ pub enum Input {
         /// Number of its start.
         activation: u64,
     },
+    /// Somebody chooses how the skill of a state ends: it is cancelled, and counts as ended with this outcome.
+    Choose {
+        /// The state's path.
+        state: String,
+        /// `success`, `failure`, or one that the skill declares.
+        outcome: String,
+    },
     /// An event for all active states: from a skill that runs, or from outside.
     Event {
         /// Its name.

@@ -175,6 +175,7 @@ impl Engine {
         match input {
             Input::SkillEnded { activation, result } => self.skill_ended(activation, result, &mut turn),
             Input::SkillStuck { activation } => self.skill_stuck(activation, &mut turn),
+            Input::Choose { state, outcome } => self.choose(&state, outcome, &mut turn),
             Input::Event { name, data } => self.event(&name, data, &mut turn),
             Input::Timer { timer } => self.timer(timer, &mut turn),
             Input::Watch { watch, entry } => {

@@ -42,6 +42,8 @@ pub(super) struct StateRun {
 #[derive(Clone, Debug, Default)]
 pub(super) struct StateStatus {
     pub(super) skill: SkillRun,
+    /// How its skill ends as soon as it returns, where somebody has chosen that.
+    pub(super) chosen: Option<String>,
     /// Its outcome, if no transition took it.
     pub(super) done: Option<EventNumber>,
     /// Whether it has reported its outcome, for unbreakable states.

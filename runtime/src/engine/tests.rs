@@ -133,6 +133,9 @@ impl Drive {
                 self.input(Input::Timer { timer });
             }
             ["stuck", state] => self.input(Input::SkillStuck { activation: self.skills[state] }),
+            ["choose", state, outcome] => {
+                self.input(Input::Choose { state: state.into(), outcome: outcome.into() });
+            }
             ["stop"] => self.input(Input::Stop { reason: "by hand".into() }),
             _ => panic!("`{step}` is no step"),
         }

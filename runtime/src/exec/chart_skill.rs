@@ -18,6 +18,9 @@ use crate::trace::{TraceEvent, TraceItem};
 /// Stops the robot because the skill of this state is stuck.
 pub type Stop = Arc<dyn Fn(&str) + Send + Sync>;
 
+/// Gives what receives the trace of one more run of a chart.
+pub type SinkOfRun = Arc<dyn Fn() -> Option<Box<dyn TraceSink>> + Send + Sync>;
+
 /// Time that the chart itself needs to end, in addition to its skills.
 const END_GRACE: Duration = Duration::from_millis(500);
 
@@ -28,6 +31,7 @@ pub struct ChartSkill {
     registry: Registry,
     stop: Stop,
     peers: Peers,
+    sinks: Option<SinkOfRun>,
 }
 
 impl fmt::Debug for ChartSkill {
@@ -39,13 +43,21 @@ impl fmt::Debug for ChartSkill {
 impl ChartSkill {
     /// Wraps a chart with the skills that it uses; `stop` is called when one of them does not return.
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
-        Self { program, description: description.to_owned(), registry, stop, peers: Peers::default() }
+        let (description, peers) = (description.to_owned(), Peers::default());
+        Self { program, description, registry, stop, peers, sinks: None }
     }
 
     /// Connects the chart with other agents: it sends them events and receives theirs.
     #[must_use]
     pub fn with_peers(mut self, peers: Peers) -> Self {
         self.peers = peers;
+        self
+    }
+
+    /// Lets the trace of each run be received.
+    #[must_use]
+    pub fn traced(mut self, sinks: SinkOfRun) -> Self {
+        self.sinks = Some(sinks);
         self
     }
 }
@@ -63,12 +75,13 @@ impl Skill for ChartSkill {
 
     fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
         let stop = Arc::clone(&self.stop);
+        let also = self.sinks.as_ref().and_then(|sinks| sinks());
         let options = ExecOptions {
             closed: false,
             inputs: context.inputs,
             profile: None,
             limits: context.limits,
-            sink: Some(Box::new(Leaves(context.inside))),
+            sink: Some(Box::new(Leaves { inside: context.inside, also })),
             on_stuck: Some(Box::new(move |state| stop(state))),
             peers: self.peers.clone(),
         };
@@ -107,13 +120,19 @@ fn ended(result: RunResult) -> SkillResult {
     Err(Failure::new(reason + &through))
 }
 
-/// Publishes the active states.
-struct Leaves(watch::Sender<Vec<String>>);
+/// Publishes the active states, and passes the trace on.
+struct Leaves {
+    inside: watch::Sender<Vec<String>>,
+    also: Option<Box<dyn TraceSink>>,
+}
 
 impl TraceSink for Leaves {
     fn record(&mut self, event: &TraceEvent) {
         if let TraceItem::Configuration { leaves } = &event.item {
-            self.0.send_replace(leaves.clone());
+            self.inside.send_replace(leaves.clone());
+        }
+        if let Some(also) = &mut self.also {
+            also.record(event);
         }
     }
 }

@@ -39,7 +39,7 @@ use skills::{Message, Running};
 use watchdog::Watchdog;
 
 pub use crate::engine::RunResult;
-pub use chart_skill::{ChartSkill, Stop};
+pub use chart_skill::{ChartSkill, SinkOfRun, Stop};
 pub use remote_events::{DeliveryError, Peers, Raised, RemoteEvent, Subscribers, Transport};
 pub use sink::TraceSink;
 
@@ -102,6 +102,19 @@ impl Controller {
     #[must_use = "an event that the queue had no room for was not raised"]
     pub fn raise(&self, name: impl Into<String>, data: Value) -> bool {
         self.queue.try_send(Message::Event { name: name.into(), data, answer: None }).is_ok()
+    }
+
+    /// Ends the skill of a state with an outcome of one's choice: the skill is cancelled, and what it gives then is ignored but for its
+    /// outputs. Where that cannot be, the trace says so. Returns false if the queue is full or the run has ended.
+    #[must_use = "a choice that the queue had no room for was not made"]
+    pub fn choose(&self, state: impl Into<String>, outcome: impl Into<String>) -> bool {
+        self.queue.try_send(Message::Chosen { state: state.into(), outcome: outcome.into() }).is_ok()
+    }
+
+    /// Says in the trace what somebody did to the run from outside. Returns false if the queue is full or the run has ended.
+    #[must_use = "what the queue had no room for is not in the trace"]
+    pub fn acted(&self, what: impl Into<String>) -> bool {
+        self.queue.try_send(Message::Acted { what: what.into() }).is_ok()
     }
 
     /// As [`Controller::raise`]; gives who will say why the event changed nothing, if it did not.
@@ -329,6 +342,8 @@ impl Executor {
                     self.turn(Some(Input::Event { name, data }));
                 }
             }
+            Message::Chosen { state, outcome } => drop(self.turn(Some(Input::Choose { state, outcome }))),
+            Message::Acted { what } => self.trace(TraceItem::Acted { action: what }),
             Message::Skill { activation, report } => self.report(activation, report),
             Message::Hangs { reason } => drop(self.turn(Some(Input::Abort { reason }))),
             Message::Stopped { reason } => drop(self.turn(Some(Input::Stop { reason }))),

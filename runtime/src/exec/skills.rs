@@ -17,6 +17,10 @@ pub(super) enum Message {
     /// An event that could not be delivered to another agent: the data of its `error.communication`; or that came from outside and
     /// was refused to its sender.
     Dropped { name: String, reason: String, error: Option<Value> },
+    /// Somebody chooses how the skill of a state ends.
+    Chosen { state: String, outcome: String },
+    /// Somebody acted on the run.
+    Acted { what: String },
     /// A report of a skill.
     Skill { activation: u64, report: Report },
     /// A skill has not yielded for too long.

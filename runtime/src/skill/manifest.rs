@@ -139,6 +139,11 @@ impl Mark {
 }
 
 impl SkillManifest {
+    /// Whether the skill can end so: `success`, `failure`, or an outcome that it declares.
+    pub fn has_outcome(&self, name: &str) -> bool {
+        ["success", "failure"].contains(&name) || self.outcomes.iter().any(|outcome| outcome == name)
+    }
+
     /// A skill without inputs, outputs, further outcomes, events, channels or limbs, and with a grace of 1 s.
     #[track_caller]
     pub fn new(name: &str, description: &str) -> Self {

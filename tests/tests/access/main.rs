@@ -4,6 +4,7 @@
 
 mod memory;
 mod robot;
+mod watching;
 
 use std::path::Path;
 

@@ -6,9 +6,7 @@ pub(super) type Asset = (&'static str, &'static str, &'static str);
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// All files.
-pub(super) const ASSETS: [Asset; 12] = [
-    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
-    ("/other/", "text/html; charset=utf-8", include_str!("page/index.html")),
+pub(super) const ASSETS: [Asset; 10] = [
     ("/compare", "text/html; charset=utf-8", include_str!("page/compare.html")),
     ("/compare.js", SCRIPT, include_str!("page/compare.js")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),

@@ -116,7 +116,8 @@ pub(crate) fn declared(manifest: &SkillManifest) -> Json {
     };
     let all = |parameters: &[Parameter]| parameters.iter().map(one).collect::<Vec<_>>();
     let SkillManifest { name, description, .. } = manifest;
-    json!({"name": name, "description": description, "inputs": all(&manifest.inputs), "outputs": all(&manifest.outputs)})
+    json!({"name": name, "description": description, "inputs": all(&manifest.inputs), "outputs": all(&manifest.outputs),
+        "outcomes": manifest.outcomes})
 }
 
 impl Solid {

@@ -3,29 +3,32 @@
 //! [`LivePage::open`] serves one page on a thread of its own. What it shows is a [`ShownRun`]: usually a [`Timeline`], which the run's
 //! recorder writes beside the recording; the run never waits for a page. News go to all pages as server-sent events, encoded once;
 //! a page that is slow misses some, sees that, and asks for all again. Nobody acts without the page's token, and only where a
-//! [`Control`] is given.
+//! [`Control`] is given. Beyond this machine it is served only with TLS, to who has the token of its address ([`PageAddress`]).
 //!
 //! It knows no engine and no simulator: events are JSON with the time, as in a recording.
 
+mod address;
 mod assets;
 mod header;
 mod recording;
 mod requests;
+mod runs;
 mod server;
 mod shown;
 mod timeline;
 mod track;
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::sync::Arc;
 
 use futures::future::BoxFuture;
+use requests::Admission;
 use serde::Deserialize;
 use tokio::sync::oneshot;
 
+pub use address::{CertificateError, PageAddress};
 pub use header::{RunHeader, Solid, SolidForm, solids_of};
 pub use recording::{REPORT, ShowError};
+pub use runs::ShownRuns;
 pub use shown::{NewestImage, PageAnswer, ReportSoFar, ServedTimeline, ShownRun, ShownTimeline};
 pub use timeline::{MEMORY, Timeline};
 
@@ -52,6 +55,13 @@ pub enum Action {
         /// Its data.
         #[serde(default)]
         data: serde_json::Value,
+    },
+    /// The skill of a state is cancelled, and counts as ended with this outcome.
+    Outcome {
+        /// The state's path.
+        state: String,
+        /// `success`, `failure`, or one that the skill declares.
+        outcome: String,
     },
     /// The robot stops, and the run ends.
     Stop,
@@ -80,27 +90,28 @@ pub trait Control: Send + Sync {
 /// A page that is served until this is dropped.
 #[derive(Debug)]
 pub struct LivePage {
-    address: SocketAddr,
-    /// Whether it shows two runs.
-    two: bool,
+    url: String,
     /// Dropped, it ends the server.
     _ends: oneshot::Sender<()>,
 }
 
 impl LivePage {
-    /// Serves a page on loopback: of a run, or of two, beside each other. What is done `beside` runs on the page's thread.
+    /// Serves a page: of a run, of two beside each other, or of as many as are added. What is done `beside` runs on the page's thread.
     ///
     /// # Errors
-    /// When the port cannot be listened on.
-    pub fn open(
-        port: u16,
-        runs: Vec<Arc<dyn ShownRun>>,
-        beside: Vec<BoxFuture<'static, ()>>,
-    ) -> io::Result<Self> {
-        let two = runs.len() > 1;
-        let listener = std::net::TcpListener::bind((IpAddr::V4(Ipv4Addr::LOCALHOST), port))?;
-        listener.set_nonblocking(true)?;
+    /// When the address cannot be listened on.
+    pub fn open(at: &PageAddress, runs: ShownRuns, beside: Vec<BoxFuture<'static, ()>>) -> io::Result<Self> {
+        let (listener, tls) = (at.listen()?, at.tls.clone());
         let address = listener.local_addr()?;
+        let path = if runs.len() == 2 { "compare" } else { "" };
+        let (admission, url) = match tls {
+            None => (Admission::of(address), format!("http://{address}/{path}")),
+            Some(_) => {
+                let token = server::token()?;
+                let url = format!("https://{address}/{path}?token={token}");
+                (Admission::invited(address, token), url)
+            }
+        };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (ends, ended) = oneshot::channel();
         let serving = move || {
@@ -109,16 +120,16 @@ impl LivePage {
                 tokio::select! {
                     biased;
                     _ = ended => {}
-                    () = server::serve(listener, address, runs) => {}
+                    () = server::serve(listener, tls, admission, runs) => {}
                 }
             });
         };
         std::thread::Builder::new().name("live page".into()).spawn(serving)?;
-        Ok(Self { address, two, _ends: ends })
+        Ok(Self { url, _ends: ends })
     }
 
-    /// Where the page is.
-    pub fn url(&self) -> String {
-        format!("http://{}/{}", self.address, if self.two { "compare" } else { "" })
+    /// Where the page is; beyond this machine with the token that admits.
+    pub fn url(&self) -> &str {
+        &self.url
     }
 }

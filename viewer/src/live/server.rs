@@ -2,7 +2,6 @@
 
 use std::convert::Infallible;
 use std::io;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,12 +12,15 @@ use hyper::header::{HeaderName, HeaderValue};
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Semaphore, broadcast};
+use tokio_rustls::TlsAcceptor;
 
 use super::Action;
 use super::assets::ASSETS;
-use super::requests::{Names, check_token};
-use super::shown::{PageAnswer, ShownRun};
+use super::requests::{Admission, check_token};
+use super::runs::ShownRuns;
+use super::shown::PageAnswer;
 use crate::report::scoped_style;
 
 /// Most connections at a time; more are closed at once.
@@ -44,34 +46,37 @@ const HEADERS: [(&str, &str); 5] = [
 
 type Body = BoxBody<Bytes, Infallible>;
 
-/// Where the second of two runs is asked for.
-const OTHER: &str = "/other/";
+/// Where one of several runs is asked for, by its number; the list of them is there without the slash at the end.
+const RUNS: &str = "/runs/";
+/// The page of a run.
+const PAGE: &str = include_str!("page/index.html");
 
 struct Shared {
-    runs: Vec<Arc<dyn ShownRun>>,
-    names: Names,
+    runs: ShownRuns,
+    admission: Admission,
     token: String,
 }
 
 /// Answers until it is dropped.
 pub(super) async fn serve(
     listener: std::net::TcpListener,
-    address: SocketAddr,
-    runs: Vec<Arc<dyn ShownRun>>,
+    tls: Option<TlsAcceptor>,
+    admission: Admission,
+    runs: ShownRuns,
 ) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
     let Ok(token) = token() else { return };
-    accept(listener, Arc::new(Shared { runs, names: Names::of(address), token })).await;
+    accept(listener, tls, Arc::new(Shared { runs, admission, token })).await;
 }
 
 /// A text that nobody can guess.
-fn token() -> io::Result<String> {
+pub(super) fn token() -> io::Result<String> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes).map_err(|error| io::Error::other(error.to_string()))?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-async fn accept(listener: tokio::net::TcpListener, shared: Arc<Shared>) {
+async fn accept(listener: tokio::net::TcpListener, tls: Option<TlsAcceptor>, shared: Arc<Shared>) {
     let places = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
@@ -80,26 +85,36 @@ async fn accept(listener: tokio::net::TcpListener, shared: Arc<Shared>) {
             continue;
         };
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
-        let shared = Arc::clone(&shared);
+        let (shared, tls) = (Arc::clone(&shared), tls.clone());
         tokio::spawn(async move {
-            let answering = service_fn(move |request| {
-                let shared = Arc::clone(&shared);
-                async move { Ok::<_, Infallible>(shared.answer(request).await) }
-            });
-            let mut connection = hyper::server::conn::http1::Builder::new();
-            connection.timer(TokioTimer::new()).header_read_timeout(HEAD_WITHIN).max_buf_size(MOST_HEAD);
-            // A browser that goes away is no error.
-            let _ = connection.serve_connection(TokioIo::new(stream), answering).await.is_ok();
+            match tls {
+                None => shared.converse(stream).await,
+                Some(tls) => {
+                    if let Ok(Ok(stream)) = tokio::time::timeout(HEAD_WITHIN, tls.accept(stream)).await {
+                        shared.converse(stream).await;
+                    }
+                }
+            }
             drop(place);
         });
     }
 }
 
 impl Shared {
+    /// Answers the requests of one connection.
+    async fn converse(self: Arc<Self>, stream: impl AsyncRead + AsyncWrite + Unpin) {
+        let answering = service_fn(|request| async { Ok::<_, Infallible>(self.answer(request).await) });
+        let mut connection = hyper::server::conn::http1::Builder::new();
+        connection.timer(TokioTimer::new()).header_read_timeout(HEAD_WITHIN).max_buf_size(MOST_HEAD);
+        // A browser that goes away is no error.
+        let _ = connection.serve_connection(TokioIo::new(stream), answering).await.is_ok();
+    }
+
     async fn answer(&self, request: Request<Incoming>) -> Response<Body> {
-        let mut answer = match self.names.check(request.headers()) {
+        let mut answer = match self.admission.check(request.uri(), request.headers()) {
             Err(refusal) => plain(StatusCode::FORBIDDEN, refusal.to_string()),
-            Ok(()) => match *request.method() {
+            Ok(Some(cookie)) => welcome(request.uri().path(), &cookie),
+            Ok(None) => match *request.method() {
                 Method::GET => self.get(&request).await,
                 Method::POST => self.post(request).await,
                 _ => plain(StatusCode::METHOD_NOT_ALLOWED, "GET or POST".to_owned()),
@@ -119,12 +134,20 @@ impl Shared {
         if path == "/report.css" {
             return body(StatusCode::OK, "text/css; charset=utf-8", Bytes::from(scoped_style()));
         }
+        if path == RUNS.trim_end_matches('/') {
+            return json(self.runs.json());
+        }
         let whole = request.uri().path_and_query().map_or("/", |whole| whole.as_str());
-        let (run, question) = match whole.strip_prefix(OTHER) {
-            Some(question) => (self.runs.get(1), question),
-            None => (self.runs.first(), &whole[1..]),
+        let (number, question) = match whole.strip_prefix(RUNS).and_then(|rest| rest.split_once('/')) {
+            Some((number, question)) => (number.parse().unwrap_or(u64::MAX), question),
+            None => (0, &whole[1..]),
         };
-        let Some(run) = run else { return plain(StatusCode::NOT_FOUND, "there is only one run".to_owned()) };
+        let Some(run) = self.runs.get(number) else {
+            return plain(StatusCode::NOT_FOUND, "there is no such run, or no more".to_owned());
+        };
+        if question.is_empty() {
+            return body(StatusCode::OK, "text/html; charset=utf-8", Bytes::from_static(PAGE.as_bytes()));
+        }
         if question == "news" {
             return stream(run.news());
         }
@@ -142,8 +165,12 @@ impl Shared {
     }
 
     async fn post(&self, request: Request<Incoming>) -> Response<Body> {
-        let Some(run) = self.runs.first().filter(|run| run.may_act() && request.uri().path() == "/act")
-        else {
+        let path = request.uri().path();
+        let number = match path.strip_prefix(RUNS).and_then(|rest| rest.strip_suffix("/act")) {
+            Some(number) => number.parse().ok(),
+            None => (path == "/act").then_some(0),
+        };
+        let Some(run) = number.and_then(|number| self.runs.get(number)).filter(|run| run.may_act()) else {
             let why = "this page only looks: `--live-control` lets it act";
             return plain(StatusCode::FORBIDDEN, why.to_owned());
         };
@@ -165,6 +192,17 @@ impl Shared {
             Err(refused) => plain(StatusCode::CONFLICT, refused.to_string()),
         }
     }
+}
+
+/// Gives a browser the cookie, and sends it on to the address without the token.
+fn welcome(path: &str, cookie: &str) -> Response<Body> {
+    let mut answer = plain(StatusCode::SEE_OTHER, String::new());
+    for (name, value) in [("location", path), ("set-cookie", cookie)] {
+        if let Ok(value) = HeaderValue::from_str(value) {
+            answer.headers_mut().insert(HeaderName::from_static(name), value);
+        }
+    }
+    answer
 }
 
 /// News as server-sent events, until the page goes or is too slow: it then asks for all again.

@@ -8,7 +8,7 @@ use armarium_values::report::Section;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use parking_lot::{Condvar, Mutex};
-use tokio::sync::broadcast;
+use tokio::sync::{OwnedMutexGuard, broadcast};
 
 use super::timeline::{Timeline, Told, text};
 use super::{Action, ActionRefused, Control};
@@ -54,8 +54,11 @@ pub trait ShownRun: Send + Sync {
     /// Answers a question: a path without the slash in front, and a query after `?`.
     fn answer<'a>(&'a self, question: &'a str) -> BoxFuture<'a, PageAnswer>;
 
-    /// What is new from now on, as JSON; the same bytes for all pages.
-    fn news(&self) -> broadcast::Receiver<Arc<[u8]>>;
+    /// What is new from now on, as JSON; the same bytes for all pages. To be called in a tokio runtime.
+    fn news(self: Arc<Self>) -> broadcast::Receiver<Arc<[u8]>>;
+
+    /// What it is called where there are several: its title, and its outcome when it has ended.
+    fn named(&self) -> (String, Option<String>);
 
     /// Whether pages may act on it.
     fn may_act(&self) -> bool;
@@ -93,10 +96,11 @@ impl std::fmt::Debug for ShownTimeline {
 }
 
 impl ShownTimeline {
-    /// The run, whose news [`ServedTimeline::tell`] tells.
+    /// The run, which tells its news while somebody looks.
     #[must_use]
     pub fn served(self) -> Arc<ServedTimeline> {
-        Arc::new(ServedTimeline { shown: self, news: broadcast::channel(WAITING).0, end: <_>::default() })
+        let (news, telling, end) = (broadcast::channel(WAITING).0, <_>::default(), <_>::default());
+        Arc::new(ServedTimeline { shown: self, news, telling, end })
     }
 }
 
@@ -105,6 +109,8 @@ impl ShownTimeline {
 pub struct ServedTimeline {
     shown: ShownTimeline,
     news: broadcast::Sender<Arc<[u8]>>,
+    /// Held by the task that tells the news.
+    telling: Arc<tokio::sync::Mutex<Told>>,
     /// Whether pages have been told the end.
     end: (Mutex<bool>, Condvar),
 }
@@ -119,8 +125,7 @@ impl ServedTimeline {
     }
 
     /// Tells all pages what is new, as long as there are any.
-    pub async fn tell(&self) {
-        let mut told = Told::default();
+    async fn tell(&self, mut told: OwnedMutexGuard<Told>) {
         let mut tick = tokio::time::interval(NEWS);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
@@ -131,7 +136,7 @@ impl ServedTimeline {
                 self.end.1.notify_all();
             }
             if self.news.receiver_count() == 0 {
-                continue;
+                return;
             }
             if let Some(news) = self.shown.timeline.news(&mut told, self.is_paused()) {
                 // Who looked may have gone.
@@ -209,8 +214,21 @@ impl ShownRun for ServedTimeline {
         async move { self.find(question) }.boxed()
     }
 
-    fn news(&self) -> broadcast::Receiver<Arc<[u8]>> {
-        self.news.subscribe()
+    fn news(self: Arc<Self>) -> broadcast::Receiver<Arc<[u8]>> {
+        let receiver = self.news.subscribe();
+        tokio::spawn(async move {
+            // One task tells all. It may have been about to end when somebody came: so it looks once more.
+            while self.news.receiver_count() > 0
+                && let Ok(told) = Arc::clone(&self.telling).try_lock_owned()
+            {
+                self.tell(told).await;
+            }
+        });
+        receiver
+    }
+
+    fn named(&self) -> (String, Option<String>) {
+        self.shown.timeline.named()
     }
 
     fn may_act(&self) -> bool {

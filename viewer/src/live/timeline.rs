@@ -68,6 +68,8 @@ struct Run {
     now_ns: u64,
     events: VecDeque<Event>,
     event_bytes: usize,
+    /// Bytes of events that are kept, if less than usual.
+    most_event_bytes: Option<usize>,
     /// The number of the first event that is kept.
     first: u64,
     /// Since when each active state is so, ns.
@@ -204,6 +206,13 @@ impl std::fmt::Debug for Timeline {
 }
 
 impl Timeline {
+    /// One of very many: it keeps so many bytes of events.
+    #[must_use]
+    pub fn bounded(event_bytes: usize) -> Self {
+        let run = Run { most_event_bytes: Some(event_bytes), ..Run::default() };
+        Self(Arc::new(Mutex::new(run)))
+    }
+
     /// Begins with what does not change during a run.
     pub fn begin(&self, header: &RunHeader) {
         let mut run = self.0.lock();
@@ -214,6 +223,16 @@ impl Timeline {
     /// Says how the run ended.
     pub fn end(&self, ended: Json) {
         self.0.lock().ended = Some(ended);
+    }
+
+    /// The run's title, and its outcome when it has ended.
+    pub(super) fn named(&self) -> (String, Option<String>) {
+        let run = self.0.lock();
+        let word = |data: &Json, key: &str| data.get(key).and_then(Json::as_str).map(str::to_owned);
+        (
+            word(&run.header, "title").unwrap_or_default(),
+            run.ended.as_ref().and_then(|end| word(end, "outcome")),
+        )
     }
 
     /// How the run ended, as its last events say.
@@ -372,7 +391,9 @@ impl Run {
         }
         self.event_bytes += text.len();
         self.events.push_back((stamp_ns, text.into()));
-        while self.events.len() > MOST_EVENTS || self.event_bytes > MOST_EVENT_BYTES {
+        while self.events.len() > MOST_EVENTS
+            || self.event_bytes > self.most_event_bytes.unwrap_or(MOST_EVENT_BYTES)
+        {
             let Some(oldest) = self.events.pop_front() else { break };
             self.event_bytes -= oldest.1.len();
             self.first += 1;

@@ -93,6 +93,21 @@ function drawPlayer() {
   $('live').setAttribute('aria-pressed', isLive());
 }
 
+// The charts that others have started, where there are some.
+const own = Number(location.pathname.match(/^\/runs\/(\d+)\//)?.[1] ?? 0);
+$('runs').onchange = ({ target }) => { location.href = target.value === '0' ? '/' : `/runs/${target.value}/`; };
+async function listRuns() {
+  const runs = window.parent === window ? await fetch('/runs').then((answer) => answer.json()).catch(() => []) : [];
+  $('runs').hidden = runs.length < 2;
+  const key = JSON.stringify(runs);
+  if (runs.length > 1 && $('runs').dataset.key !== key && document.activeElement !== $('runs')) {
+    $('runs').dataset.key = key;
+    $('runs').replaceChildren(...runs.map(({ number, title, outcome }) => Object.assign(document.createElement('option'), {
+      value: number, textContent: number ? `${title} ${number}: ${outcome ?? 'runs'}` : title, selected: number === own })));
+  }
+  if (!run.ended || own) setTimeout(listRuns, 2000);
+}
+
 function drawStatus() {
   const { header, ended } = run, states = activeAt(shownTime());
   const leaves = [...states.keys()].filter((state) => state && isLeaf(state, states));
@@ -135,3 +150,4 @@ listen((what) => {
 });
 show(location.hash.slice(1) in VIEWS ? location.hash.slice(1) : 'overview');
 connect();
+listRuns();

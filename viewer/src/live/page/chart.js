@@ -1,6 +1,6 @@
 // The chart: the picture of `armarium graph`, with what is active lit. Zoom, move, search, fold, and what a state is.
 
-import { run, listen, shownTime, activeAt, isLeaf, showTime, act } from '/run.js';
+import { run, listen, shownTime, activeAt, isLeaf, isLive, showTime, act } from '/run.js';
 
 const text = (tag, content, more = {}) => Object.assign(document.createElement(tag), { textContent: content }, more);
 const value = (data) => text('code', typeof data === 'string' ? data : JSON.stringify(data));
@@ -139,6 +139,14 @@ export function chartView(panel) {
       }
       parts.push(text('h3', title), rows);
     };
+    // Somebody may end a skill that runs, as if it had come to that outcome.
+    if (run.token && skill && isLive() && started && !(ended?.item.activation >= started.item.activation)) {
+      const choice = text('div', '', { className: 'tools' });
+      for (const outcome of ['success', ...(skill.outcomes ?? []), 'failure']) {
+        choice.append(text('button', outcome, { type: 'button', title: `cancel the skill, and go on as after ${outcome}`, onclick: () => act({ do: 'outcome', state: path, outcome }) }));
+      }
+      parts.push(text('h3', 'end it with'), choice);
+    }
     list('inputs', started?.item.inputs, skill?.inputs);
     list('outputs', ended && (!started || ended.item.activation >= started.item.activation) ? ended.item.outputs : null, skill?.outputs);
     if (ended?.item.reason) parts.push(text('h3', 'reason'), text('p', ended.item.reason));

@@ -12,7 +12,7 @@ const cell = (row, text) => { row.insertCell().textContent = text; };
 const number = (value) => (typeof value === 'number' ? String(+value.toPrecision(4)) : value ?? '');
 
 async function compare() {
-  const runs = await Promise.all(['/run', '/other/run'].map(get)), figures = await Promise.all(['/figures', '/other/figures'].map(get));
+  const runs = await Promise.all(['/runs/0/run', '/runs/1/run'].map(get)), figures = await Promise.all(['/runs/0/figures', '/runs/1/figures'].map(get));
   const course = ({ events }) => events.map(([stamp, { item }]) => ({ time: stamp * 1e-9, ...item })).filter(({ what }) => what === 'transition');
   const words = (step) => (step ? `${step.source || 'the chart'} to ${step.target ?? 'itself'} (${step.event ?? 'at once'}) at ${step.time.toFixed(2)} s` : 'its end');
   const [a, b] = runs.map(course), same = (x, y) => x && y && ['source', 'target', 'event'].every((key) => x[key] === y[key]);
