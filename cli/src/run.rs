@@ -121,7 +121,7 @@ pub(crate) fn parse_input(text: &str) -> Result<(String, String), String> {
     Ok((name.to_owned(), value.to_owned()))
 }
 
-fn read_time(text: &str) -> Result<Duration, String> {
+pub(crate) fn read_time(text: &str) -> Result<Duration, String> {
     let seconds = Type::Duration.read(text).map_err(|error| error.to_string())?.as_f64().unwrap_or(0.0);
     Duration::try_from_secs_f64(seconds)
         .ok()

@@ -23,6 +23,8 @@ use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
 
 /// How often snapshots are stored that a policy has held back for long enough.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
+/// How often what expires is looked for.
+const EXPIRY_INTERVAL: Duration = Duration::from_millis(500);
 /// How often long-term memory forgets what is old or too much.
 const RETENTION_INTERVAL: Duration = Duration::from_secs(60);
 /// How long to wait before connecting again to an agent that is absent.
@@ -159,6 +161,7 @@ impl AgentMemory {
         for settings in &config.follow {
             self.tasks.spawn(follow(session.clone(), Arc::clone(&self.memory), settings.clone()));
         }
+        self.tasks.spawn(remove_expired(Arc::clone(&self.memory)));
         if let Some(kept) = &self.kept {
             self.tasks.spawn(flush_now_and_then(Arc::clone(kept), Arc::clone(&self.memory)));
         }
@@ -233,6 +236,20 @@ async fn flush_now_and_then(kept: Arc<Consolidator>, memory: Arc<WorkingMemory>)
         let (kept, now_ns) = (Arc::clone(&kept), memory.now_ns());
         if let Ok(Err(error)) = tokio::task::spawn_blocking(move || kept.flush_due(now_ns)).await {
             tracing::warn!(%error, "what was held back could not be stored");
+        }
+    }
+}
+
+/// Removes what expires. It never returns.
+async fn remove_expired(memory: Arc<WorkingMemory>) {
+    loop {
+        tokio::time::sleep(EXPIRY_INTERVAL).await;
+        if !memory.has_expired() {
+            continue;
+        }
+        let memory = Arc::clone(&memory);
+        if let Ok(Err(error)) = tokio::task::spawn_blocking(move || memory.remove_expired()).await {
+            tracing::warn!(%error, "what has expired could not be removed");
         }
     }
 }

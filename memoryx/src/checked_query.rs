@@ -46,6 +46,11 @@ impl CheckedQuery<'_> {
         self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)
     }
 
+    /// The class that all in the answer have, if the filter asks for one.
+    pub(crate) fn wanted_class(&self) -> Option<&str> {
+        self.filter.as_ref()?.wanted_class()
+    }
+
     /// Whether the selection depends only on versions and referenced times.
     pub fn is_plain(&self) -> bool {
         self.filter.is_none() && self.query.region.is_none() && self.query.arrived_since.is_none()

@@ -280,6 +280,11 @@ impl Snapshot {
         self.instance()?.attributes.get(name)
     }
 
+    /// When the memory removes the entity, ns by its own clock: the attribute `expires_ns`, an integer.
+    pub fn expires_ns(&self) -> Option<u64> {
+        u64::try_from(self.attribute("expires_ns")?.as_int()?).ok()
+    }
+
     /// Whether this snapshot is a removal.
     pub fn is_removed(&self) -> bool {
         self.instances.is_empty()

@@ -164,6 +164,13 @@ impl Filter {
         Ok(Self { expression, names: names.0.into_inner() })
     }
 
+    /// The `class` that whatever matches has to have, if it has to have one.
+    pub(crate) fn wanted_class(&self) -> Option<&str> {
+        let class = Name::Attribute("class".to_owned());
+        let slot = self.names.iter().position(|name| *name == class)?;
+        self.expression.wanted_text(u32::try_from(slot).ok()?)
+    }
+
     /// Whether a snapshot matches.
     pub fn fits(&self, snapshot: &Snapshot) -> bool {
         let own = self.names.iter().map(|name| name.value(snapshot)).collect();

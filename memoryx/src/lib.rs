@@ -57,8 +57,8 @@ pub use share::{
     FollowSettings, FollowedAgent, Followee, Following, FollowingAgent, WORLD, agent_pose_update,
 };
 pub use store::{
-    Coding, Consolidator, Dropped, LongTermMemory, NamedSnapshot, Policies, Policy, Retention, StoreError,
-    StoreStats, Verification,
+    Coding, Consolidator, Dropped, EntityChange, LongTermMemory, NamedSnapshot, Policies, Policy, Retention,
+    StoreError, StoreStats, Verification,
 };
 pub use working::{Archive, Backing, Clock, MemoryLimits, WorkingMemory, tokio_clock};
 

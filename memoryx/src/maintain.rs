@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::error::MemoryError;
-use crate::store::{LongTermMemory, Retention};
+use crate::store::{EntityChange, LongTermMemory, Retention};
 use crate::wire::{Maintain, MaintenanceReport};
 use crate::working::WorkingMemory;
 
@@ -73,6 +73,22 @@ pub fn carry_out(
             let names = store.list_named()?;
             let counts = names.iter().map(|n| (n.name.clone(), n.entities)).collect();
             MaintenanceReport { counts, words: names.into_iter().map(|n| n.name).collect() }
+        }
+        Maintain::Compare { name, to } => {
+            let changes = store.compare_named(&name, to.as_deref(), memory)?;
+            let many =
+                |of: fn(&EntityChange) -> bool| changes.iter().filter(|change| of(change)).count() as u64;
+            let added = many(|change| matches!(change, EntityChange::Added(_)));
+            let removed = many(|change| matches!(change, EntityChange::Removed(_)));
+            let changed = changes.len() as u64 - added - removed;
+            let report = counted(&[("added", added), ("removed", removed), ("changed", changed)]);
+            MaintenanceReport { words: changes.iter().map(ToString::to_string).collect(), ..report }
+        }
+        Maintain::BackUp { name } => {
+            let copy = store.back_up(&name)?;
+            let bytes = std::fs::metadata(&copy).map_or(0, |about| about.len());
+            let report = counted(&[("file_bytes", bytes)]);
+            MaintenanceReport { words: vec![copy.display().to_string()], ..report }
         }
         Maintain::Retain { age_ns, bytes } => {
             let dropped = store.retain(Retention { age_ns, bytes }, memory.now_ns())?;

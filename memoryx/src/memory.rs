@@ -72,6 +72,8 @@ pub struct Heads {
     pub entities: Vec<Head>,
     /// Every change that arrived in the memory before this time is in it, ns.
     pub until_ns: u64,
+    /// What the memory's clock said, ns, if it is another process's and says so.
+    pub now_ns: Option<u64>,
 }
 
 /// The newest version of an entity.
@@ -97,7 +99,7 @@ impl Heads {
             removed: snapshot.is_removed(),
         };
         let until_ns = newest.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0);
-        Self { entities: newest.iter().map(head).collect(), until_ns }
+        Self { entities: newest.iter().map(head).collect(), until_ns, now_ns: None }
     }
 }
 

@@ -86,6 +86,8 @@ pub struct HeadsPart {
     pub entities: Vec<(EntityId, u64, u64, bool)>,
     /// If there are more: those after this entity.
     pub next: Option<EntityId>,
+    /// The memory's clock, ns; `None` from programs that do not say.
+    pub now_ns: Option<u64>,
 }
 
 /// Changes of a memory, in order. An idle memory sends an empty list, with the number of changes so far.
@@ -132,6 +134,19 @@ pub enum Maintain {
     },
     /// List the names.
     Names,
+    /// Say what has changed since a named snapshot was taken.
+    Compare {
+        /// The name.
+        name: String,
+        /// Until another one was taken; until now if not given.
+        #[serde(default)]
+        to: Option<String>,
+    },
+    /// Copy the whole file.
+    BackUp {
+        /// The name of the copy, beside the file.
+        name: String,
+    },
     /// Apply retention.
     Retain {
         /// How long snapshots are kept, ns.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use armarium_values::Value;
+use armarium_values::{Frame, Value, Vector};
 use proptest::prelude::*;
 
 use crate::*;
@@ -216,4 +216,75 @@ fn names_that_are_gone_are_free_again() {
     memory.query_now(&Query::latest(Pattern::any())).unwrap().iter().for_each(|s| {
         assert_eq!(memory.latest_now(&s.id).as_ref(), Ok(s));
     });
+}
+
+/// A thing with a class and a place in one of two frames; some are removed.
+fn placed() -> impl Strategy<Value = (u8, u8, bool, [f64; 3], bool)> {
+    (0..30u8, 0..3u8, any::<bool>(), prop::array::uniform3(-2.0..2.0f64), prop::bool::weighted(0.1))
+}
+
+#[test]
+fn what_expires_is_removed_unless_it_is_written_again() {
+    let now = Arc::new(AtomicU64::new(0));
+    let clock = Arc::clone(&now);
+    let memory = WorkingMemory::new(Arc::new(move || clock.load(Ordering::Relaxed)));
+    let until = |name: &str, expires_ns: Option<i64>| {
+        let id = EntityId::new("Things", "p", name).unwrap();
+        let expires = expires_ns.map(|ns| ("expires_ns".to_owned(), Value::Int(ns)));
+        Commit::new(id, 0, expires.into_iter().collect::<BTreeMap<_, _>>())
+    };
+    memory
+        .commit_now(vec![until("a", Some(10)), until("b", Some(20)), until("c", None), until("d", Some(10))])
+        .unwrap();
+    memory.commit_now(vec![until("d", Some(30))]).unwrap();
+    let left = || -> Vec<String> {
+        let all = memory.query_now(&Query::latest(Pattern::any())).unwrap();
+        all.iter().map(|snapshot| snapshot.id.entity().to_owned()).collect()
+    };
+    for (time, removed, expected) in
+        [(9, 0, "abcd"), (10, 1, "bcd"), (10, 0, "bcd"), (25, 1, "cd"), (30, 1, "c")]
+    {
+        now.store(time, Ordering::Relaxed);
+        assert_eq!(memory.remove_expired(), Ok(removed), "at {time}");
+        assert_eq!(left().concat(), expected, "at {time}");
+    }
+}
+
+proptest! {
+    /// What is found by class or place is what looking at everything finds.
+    #[test]
+    fn an_index_changes_no_answer(
+        commits in prop::collection::vec(placed(), 1..80),
+        center in prop::array::uniform3(-2.0..2.0f64),
+        radius in 0.0..1.5f64,
+        count in 0..6usize,
+    ) {
+        let memory = memory(MemoryLimits::default());
+        for (time, (name, class, root, place, removed)) in (1..).zip(commits) {
+            let id = EntityId::new("Things", "p", &format!("e{name}")).unwrap();
+            let frame = if root { Frame::root() } else { Frame("camera".into()) };
+            let data = [
+                ("class", Value::String(["cup", "plate", "fork"][usize::from(class)].into())),
+                ("position", Value::Vector(Vector { frame, components: place })),
+            ];
+            let commit = if removed { Commit::removal(id, time) } else { Commit::new(id, time, data) };
+            memory.commit_now(vec![commit]).unwrap();
+        }
+        let all = memory.query_now(&Query::latest(Pattern::any())).unwrap();
+        let frame = Frame::root();
+        let regions = [
+            None,
+            Some(SpatialRegion::Within { frame: frame.clone(), of: center, radius }),
+            Some(SpatialRegion::Box { frame: frame.clone(), min: center, max: center.map(|x| x + radius) }),
+            Some(SpatialRegion::Nearest { frame, to: center, count }),
+        ];
+        for region in regions {
+            for filter in [None, Some("class == 'cup'"), Some("'plate' == class && position.z > 0.0"), Some("class != 'cup'")] {
+                let query = Query { region: region.clone(), filter: filter.map(str::to_owned), ..Query::latest(Pattern::any()) };
+                let asked = query.check().unwrap();
+                let expected = asked.finish(all.iter().filter(|snapshot| asked.fits(snapshot)).cloned().collect());
+                prop_assert_eq!(memory.query_now(&query).unwrap(), expected, "{:?}", query);
+            }
+        }
+    }
 }

@@ -6,6 +6,7 @@
 
 use std::io::{self, Write};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
@@ -13,7 +14,9 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::{logging, warnings};
 
 pub(crate) mod keep;
+mod lag;
 mod observe;
+mod plot;
 mod reach;
 mod serve;
 mod show;
@@ -87,6 +90,26 @@ enum MemoryCommand {
     Query(QueryArgs),
     /// Store the whole working memory under a name, and load it back.
     Snapshot(SnapshotArgs),
+    /// Say how far the agent is behind those that it follows: entities, versions, since when, what was missed, and how far apart the
+    /// clocks are. Exit status 1 when it is behind.
+    Lag,
+    /// Say what has changed since a named snapshot was taken: added (+), removed (-) and changed (~) entities.
+    Diff {
+        /// The name of the earlier one.
+        #[arg(value_name = "NAME")]
+        from: String,
+        /// The name of the later one; the present if not given.
+        #[arg(value_name = "NAME")]
+        to: Option<String>,
+    },
+    /// Draw an attribute over time, as SVG: a number, or the parts of a vector or a pose.
+    Plot(PlotArgs),
+    /// Copy long-term memory into a new file beside its own, while it is in use.
+    Backup {
+        /// The name of the copy.
+        #[arg(value_name = "FILE")]
+        name: String,
+    },
     /// Write snapshots as JSON lines.
     Export(ExportArgs),
     /// Store the snapshots of JSON lines, with their versions; a file named by `--store` is created if it does not
@@ -172,8 +195,11 @@ struct PutArgs {
     /// The time that the data describe, ns since 1970; now if not given.
     #[arg(long, value_name = "NS")]
     time: Option<u64>,
+    /// The memory removes the entity after this time, for instance `10s` or `2h`, if nobody writes it again.
+    #[arg(long, value_name = "TIME", value_parser = crate::run::read_time)]
+    ttl: Option<Duration>,
     /// Remove the entity.
-    #[arg(long, conflicts_with = "set")]
+    #[arg(long, conflicts_with_all = ["set", "ttl"])]
     remove: bool,
 }
 
@@ -265,6 +291,16 @@ enum SnapshotCommand {
         /// The name.
         name: String,
     },
+}
+
+#[derive(Clone, Debug, Args)]
+struct PlotArgs {
+    /// The address and the attribute, `SEGMENT/PROVIDER/ENTITY.ATTRIBUTE`.
+    #[arg(value_name = "ENTITY.ATTRIBUTE")]
+    what: String,
+    /// The file; standard output if not given.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
 }
 
 #[derive(Clone, Debug, Args)]

@@ -117,7 +117,7 @@ fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, Failure> {
 
 /// The wall clock, ns since 1970.
 #[allow(clippy::disallowed_methods, reason = "commands are the edge at which it is read")]
-fn wall_clock_ns() -> u64 {
+pub(super) fn wall_clock_ns() -> u64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
 }

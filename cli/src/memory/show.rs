@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 
 use armarium_memoryx::Snapshot;
+use armarium_memoryx::wire::MaintenanceReport;
 use armarium_values::Value;
 use serde_json::{Value as Json, json};
 
@@ -88,6 +89,17 @@ impl Printer {
             writeln!(out, "{:<18} {count}", name.replace('_', " "))?;
         }
         Ok(())
+    }
+
+    /// The words of a report, then its numbers.
+    pub(super) fn words(&self, report: &MaintenanceReport, out: &mut dyn Write) -> Result<(), Failure> {
+        if self.json {
+            return Ok(writeln!(out, "{}", json!({"counts": report.counts, "words": report.words}))?);
+        }
+        for word in &report.words {
+            writeln!(out, "{word}")?;
+        }
+        self.counts(&report.counts, out)
     }
 
     /// What each owner of provider segments takes, and how much it has written since `before`, a second ago.

@@ -69,6 +69,12 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
                 [("concluded", round.concluded), ("written", round.written), ("removed", round.removed)];
             shown.counts(&counts.map(|(name, count)| (name.to_owned(), count)).into(), out)?;
         }
+        MemoryCommand::Lag => return Ok(u8::from(!super::lag::lag(&reached, args, out).await?)),
+        MemoryCommand::Plot(plot) => super::plot::plot(&reached, plot, out).await?,
+        MemoryCommand::Diff { .. } | MemoryCommand::Backup { .. } => {
+            let report = reached.maintain(request(&args.command)?).await?;
+            shown.words(&report, out)?;
+        }
         MemoryCommand::Snapshot(_)
         | MemoryCommand::Compact
         | MemoryCommand::Verify
@@ -91,6 +97,8 @@ fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
             SnapshotCommand::Ls => Maintain::Names,
         },
         MemoryCommand::Compact => Maintain::Compact,
+        MemoryCommand::Diff { from, to } => Maintain::Compare { name: from.clone(), to: to.clone() },
+        MemoryCommand::Backup { name } => Maintain::BackUp { name: name.clone() },
         MemoryCommand::Verify => Maintain::Verify,
         MemoryCommand::Retain(retain) => {
             let retention = keep::retention(retain.days, retain.megabytes).map_err(Failure::Argument)?;
@@ -148,6 +156,10 @@ async fn put(reached: &Reached, put: &PutArgs, args: &MemoryArgs) -> Result<u64,
             return Err(Failure::Argument(format!("--set {set}: each attribute has a name, and one value")));
         }
     }
+    if let Some(ttl) = put.ttl {
+        let expires_ns = u128::from(reached.now_ns()) + ttl.as_nanos();
+        attributes.insert("expires_ns".into(), Value::Int(i64::try_from(expires_ns).unwrap_or(i64::MAX)));
+    }
     let instances =
         if put.remove { Vec::new() } else { vec![Instance::new(attributes).with_confidence(put.confidence)] };
     let referenced_ns = put.time.unwrap_or_else(|| reached.now_ns());
@@ -162,7 +174,7 @@ async fn put(reached: &Reached, put: &PutArgs, args: &MemoryArgs) -> Result<u64,
 }
 
 /// An address from the command line.
-fn id(text: &str) -> Result<EntityId, Failure> {
+pub(super) fn id(text: &str) -> Result<EntityId, Failure> {
     match text.split('/').collect::<Vec<_>>()[..] {
         [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
         _ => Err(Failure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
@@ -342,7 +354,7 @@ async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> 
     Ok(to.flush()?)
 }
 
-fn unusable(path: &Path, error: &io::Error) -> Failure {
+pub(super) fn unusable(path: &Path, error: &io::Error) -> Failure {
     Failure::Argument(format!("`{}` cannot be used: {error}", path.display()))
 }
 

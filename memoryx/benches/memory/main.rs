@@ -1,5 +1,5 @@
 //! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
-//! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `beside`,
+//! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `finding`, `beside`,
 //! `store`, `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
 //! disk) only runs when named.
 //!
@@ -14,6 +14,7 @@ use armarium_values::Value;
 
 mod axes;
 mod beside;
+mod finding;
 mod frames;
 mod link;
 mod scale;
@@ -91,6 +92,9 @@ fn main() {
     if is_wanted("working") {
         working::in_process();
         working::a_million();
+    }
+    if is_wanted("finding") {
+        finding::finding();
     }
     if is_wanted("beside") {
         runtime.block_on(beside::beside());

@@ -41,6 +41,18 @@ pub struct RemoteMemory {
 }
 
 impl RemoteMemory {
+    /// How far the other memory's clock is ahead of one's own, s, to about half the time of a question; `None` if it does not say.
+    ///
+    /// # Errors
+    /// [`MemoryError::Remote`] when it does not answer.
+    pub async fn clock_ahead_s(&self, own_ns: impl Fn() -> u64) -> Result<Option<f64>, MemoryError> {
+        let asked_ns = own_ns();
+        // Of a segment that nobody has: the answer is short.
+        let heads = self.heads(&Pattern::segment("Clock")).await?;
+        let middle_ns = (asked_ns as f64 + own_ns() as f64) / 2.0;
+        Ok(heads.now_ns.map(|said| (said as f64 - middle_ns) * 1e-9))
+    }
+
     /// Connects to the memory of `agent`, which must answer.
     ///
     /// # Errors
@@ -140,6 +152,7 @@ impl Memory for RemoteMemory {
             heads.entities.extend(part.entities.into_iter().map(head));
             if is_first {
                 // What changes while later parts are read may belong into the first.
+                heads.now_ns = part.now_ns;
                 heads.until_ns = heads.entities.iter().map(|head| head.arrived_ns).max().unwrap_or(0);
             }
             if part.next.is_none() {

@@ -106,7 +106,8 @@ impl ServedMemory {
         let answer = self.ask(&Query { after, ..newest }, PART_TIME)?;
         let head = |head: Head| (head.id, head.version, head.arrived_ns, head.removed);
         let entities = Heads::of(&answer.snapshots).entities.into_iter().map(head).collect();
-        Ok(HeadsPart { entities, next: answer.next.map(|next| next.id) })
+        let now_ns = Some(self.memory.now_ns());
+        Ok(HeadsPart { entities, next: answer.next.map(|next| next.id), now_ns })
     }
 
     /// Asks the memory for as long as `time`. Queries that look at many entities take turns, so that together they use

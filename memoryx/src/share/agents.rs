@@ -26,6 +26,8 @@ const DEFAULT_SEGMENTS: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
 const POSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait before connecting again to an agent that is absent.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+/// Clocks that are further apart than this are warned of, s.
+const CLOCKS_APART_S: f64 = 0.1;
 
 /// Which agent is followed, and which core segment; by default objects and their relations. Written as `AGENT` or
 /// `AGENT:SEGMENT`.
@@ -112,6 +114,14 @@ impl FollowingAgent {
     async fn try_follow(&self, other: &Followee, needs_pose: bool) -> Result<FollowedAgent, MemoryError> {
         let agent = other.agent.as_str();
         let remote = Arc::new(RemoteMemory::connect(&self.session, agent).await?);
+        if let Some(ahead_s) = remote.clock_ahead_s(|| self.memory.now_ns()).await?
+            && ahead_s.abs() > CLOCKS_APART_S
+        {
+            tracing::warn!(
+                "the clock of `{agent}` is {ahead_s:+.2} s from that of `{}`: set both by NTP",
+                self.own
+            );
+        }
         let mut followed = FollowedAgent { remote, followings: Vec::new() };
         self.follow_segment(&mut followed, agent, AGENTS).await?;
         if !self.place_is_known(agent).await {

@@ -55,6 +55,7 @@ use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
 use crate::working::{Archive, Backing, WorkingMemory};
 
+mod backup;
 mod coding;
 mod consolidate;
 mod error;
@@ -79,7 +80,7 @@ mod tests;
 pub use coding::Coding;
 pub use consolidate::{Consolidator, Policies, Policy};
 pub use error::StoreError;
-pub use named::NamedSnapshot;
+pub use named::{EntityChange, NamedSnapshot};
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 

@@ -1,13 +1,14 @@
 //! Named snapshots of the whole working memory, which can be loaded again.
 
 use std::collections::BTreeSet;
+use std::fmt;
 use std::sync::Arc;
 
 use redb::{ReadableDatabase, ReadableTable};
 
 use super::error::Fault;
 use super::{LongTermMemory, NAMED, StoreError};
-use crate::entity::{Commit, Snapshot, check_name};
+use crate::entity::{Commit, EntityId, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
 use crate::working::WorkingMemory;
@@ -21,6 +22,36 @@ pub struct NamedSnapshot {
     pub taken_ns: u64,
     /// How many entities it holds.
     pub entities: u64,
+}
+
+/// How an entity differs between two snapshots of working memory.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum EntityChange {
+    /// It is there only afterwards.
+    Added(EntityId),
+    /// It was there only before.
+    Removed(EntityId),
+    /// These attributes of its first hypothesis differ; none when something else does.
+    Changed(EntityId, Vec<String>),
+}
+
+impl fmt::Display for EntityChange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Added(id) => write!(f, "+ {id}"),
+            Self::Removed(id) => write!(f, "- {id}"),
+            Self::Changed(id, attributes) => write!(f, "~ {id} {}", attributes.join(" ")),
+        }
+    }
+}
+
+/// The attributes that differ.
+fn differing(a: &Snapshot, b: &Snapshot) -> Vec<String> {
+    let names = [a, b].into_iter().filter_map(|snapshot| snapshot.instance());
+    let names: BTreeSet<&str> =
+        names.flat_map(|instance| instance.attributes.iter().map(|(name, _)| name)).collect();
+    let differs = |name: &&str| a.attribute(name) != b.attribute(name);
+    names.into_iter().filter(differs).map(str::to_owned).collect()
 }
 
 impl LongTermMemory {
@@ -111,6 +142,40 @@ impl LongTermMemory {
         let count = updates.len();
         memory.commit_now(updates)?;
         Ok(count)
+    }
+
+    /// What has changed from a named snapshot to another one, or to the present content of working memory: a line for each entity,
+    /// ordered by address.
+    ///
+    /// # Errors
+    /// As [`Self::named`].
+    pub fn compare_named(
+        &self,
+        from: &str,
+        to: Option<&str>,
+        memory: &WorkingMemory,
+    ) -> Result<Vec<EntityChange>, MemoryError> {
+        let before = self.named(from)?;
+        let after = match to {
+            Some(name) => self.named(name)?,
+            None => memory.query_now(&Query::latest(Pattern::any()))?,
+        };
+        let ids: BTreeSet<&EntityId> = before.iter().chain(&after).map(|snapshot| &snapshot.id).collect();
+        let of = |list: &[Arc<Snapshot>], id: &EntityId| {
+            list.binary_search_by(|snapshot| snapshot.id.cmp(id)).ok().and_then(|i| list.get(i).cloned())
+        };
+        let change = |id: &EntityId| {
+            let change = match (of(&before, id), of(&after, id)) {
+                (None, Some(_)) => EntityChange::Added(id.clone()),
+                (Some(_), None) => EntityChange::Removed(id.clone()),
+                (Some(a), Some(b)) if a.instances != b.instances => {
+                    EntityChange::Changed(id.clone(), differing(&a, &b))
+                }
+                _ => return None,
+            };
+            Some(change)
+        };
+        Ok(ids.into_iter().filter_map(change).collect())
     }
 
     /// All named snapshots, ordered by name.

@@ -188,3 +188,57 @@ fn removals_come_back_as_removals() {
     assert_eq!(store.query(&Query::latest(Pattern::any())), Ok(vec![]));
     assert_eq!(store.newest(&"S/p/e".parse().unwrap()).unwrap().unwrap().version, 2);
 }
+
+#[test]
+fn a_copy_is_whole_and_of_one_moment() {
+    let (_folder, path, store) = store();
+    let many: Vec<_> = (0..6000).map(|n| snapshot(&format!("S/p/e{n}"), 1, n, 7)).collect();
+    store.persist(&many).unwrap();
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    store.load_into(&memory, Pattern::any()).unwrap();
+    store.save_named("morning", &memory).unwrap();
+    let copy = store.back_up("copy.redb").unwrap();
+    store.persist(&[snapshot("S/p/later", 1, 9, 7)]).unwrap();
+    assert_eq!(copy, path.with_file_name("copy.redb"));
+    let copied = LongTermMemory::open(&copy).unwrap();
+    let (own, other) = (store.stats().unwrap(), copied.stats().unwrap());
+    assert_eq!((other.entities, other.snapshots), (own.entities - 1, own.snapshots - 1));
+    assert!(copied.verify().unwrap().is_intact());
+    assert_eq!(copied.named("morning").unwrap(), store.named("morning").unwrap());
+    assert_eq!(copied.persist(&[snapshot("S/p/later", 1, 9, 7)]), Ok(1), "it can be written");
+    // Nothing is overwritten, and nothing is written elsewhere.
+    for name in ["copy.redb", "memory.redb", "../copy.redb", "/tmp/copy.redb", "a/b", "..", ""] {
+        assert!(store.back_up(name).is_err(), "{name}");
+    }
+}
+
+#[test]
+fn what_has_changed_since_a_named_snapshot_is_said() {
+    let (_folder, _, store) = store();
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    let put = |name: &str, data: &[(&str, i64)]| {
+        let id = format!("Things/p/{name}").parse().unwrap();
+        let data: BTreeMap<String, Value> =
+            data.iter().map(|(name, value)| ((*name).to_owned(), Value::Int(*value))).collect();
+        memory.commit_now(vec![Commit::new(id, 0, data)]).unwrap();
+    };
+    put("stays", &[("x", 1)]);
+    put("goes", &[("x", 1)]);
+    put("turns", &[("x", 1), ("y", 2), ("z", 3)]);
+    store.save_named("before", &memory).unwrap();
+    put("comes", &[("x", 1)]);
+    put("stays", &[("x", 1)]);
+    put("turns", &[("x", 1), ("y", 3)]);
+    memory.commit_now(vec![Commit::removal("Things/p/goes".parse().unwrap(), 0)]).unwrap();
+    let said = |to: Option<&str>| -> Vec<String> {
+        let changes = store.compare_named("before", to, &memory).unwrap();
+        changes.iter().map(ToString::to_string).collect()
+    };
+    let expected = ["+ Things/p/comes", "- Things/p/goes", "~ Things/p/turns y z"];
+    assert_eq!(said(None), expected);
+    store.save_named("after", &memory).unwrap();
+    put("comes", &[("x", 2)]);
+    assert_eq!(said(Some("after")), expected);
+    assert_eq!(said(Some("before")), [""; 0]);
+    assert!(store.compare_named("nobody", None, &memory).is_err());
+}

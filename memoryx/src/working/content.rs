@@ -9,6 +9,7 @@ use std::sync::Arc;
 use armarium_values::Value;
 use imbl::{OrdMap, OrdSet, Vector};
 
+use super::index::Index;
 use crate::checked_query::{CheckedQuery, Selection};
 use crate::entity::{EntityId, Instance, Snapshot};
 
@@ -37,11 +38,14 @@ pub(super) struct Content {
     last_arrival: u64,
     /// The removed entities by arrival time, ns.
     removed: OrdSet<(u64, EntityId)>,
+    /// The entities that are to be removed, by when, ns.
+    expiring: OrdSet<(u64, EntityId)>,
 }
 
 #[derive(Clone, Default)]
 struct Segment {
     entities: OrdMap<EntityId, History>,
+    index: Index,
     /// The newest changes in order: arrival time, ns, and entity. So a reader that missed a few changes finds exactly
     /// those.
     arrivals: Vector<(u64, EntityId)>,
@@ -132,6 +136,12 @@ impl Content {
         self.usage.iter().map(|(owner, usage)| (&**owner, *usage))
     }
 
+    /// The entities that are to be removed by now, with their versions; some of them if there are very many.
+    pub(super) fn expired(&self, now_ns: u64, most: usize) -> Vec<(EntityId, u64)> {
+        let due = self.expiring.iter().take_while(|(at, _)| *at <= now_ns).take(most);
+        due.filter_map(|(_, id)| Some((id.clone(), self.newest(id)?.version))).collect()
+    }
+
     fn history(&self, id: &EntityId) -> Option<&History> {
         self.segments.get(id.segment())?.entities.get(id)
     }
@@ -168,7 +178,9 @@ impl Content {
         for (_, segment) in self.segments.range::<_, str>((from, one.map_or(Unbounded, Included))) {
             let mut consider =
                 |id: &EntityId, history: &History| answer.consider(id, || history.iter().cloned());
-            let goes_on = match segment.arrived(asked) {
+            let newest = |id: &EntityId| segment.entities.get(id)?.last();
+            let few = segment.arrived(asked).or_else(|| segment.index.candidates(asked, newest));
+            let goes_on = match few {
                 Some(ids) => {
                     ids.iter().all(|id| segment.entities.get(id).is_none_or(|held| consider(id, held)))
                 }
@@ -204,9 +216,16 @@ impl Content {
         if let Some(before) = held.last().filter(|before| before.is_removed()) {
             self.removed.remove(&(before.arrived_ns, id.clone()));
         }
+        if let Some(expires_ns) = held.last().and_then(|before| before.expires_ns()) {
+            self.expiring.remove(&(expires_ns, id.clone()));
+        }
+        if let Some(expires_ns) = snapshot.expires_ns() {
+            self.expiring.insert((expires_ns, id.clone()));
+        }
         if snapshot.is_removed() {
             self.removed.insert((snapshot.arrived_ns, id.clone()));
         }
+        segment.index.change(id, held.last().map(|before| &**before), Some(snapshot));
         let history = stays.iter().chain(std::iter::once(snapshot)).cloned().collect();
         segment.entities.insert(id.clone(), history);
         segment.note_arrival(snapshot);
@@ -242,6 +261,8 @@ impl Content {
         let (_, id) = oldest;
         let Some(segment) = self.segments.get_mut(id.segment()) else { return };
         let history = segment.entities.remove(&id);
+        let last = history.as_ref().and_then(|history| history.last());
+        segment.index.change(&id, last.map(|last| &**last), None);
         if segment.entities.is_empty() {
             self.segments.remove(id.segment());
         }

@@ -28,6 +28,7 @@ use crate::schema::{SegmentSchema, core_segments};
 
 mod committing;
 mod content;
+mod index;
 mod merged_view;
 
 use committing::{CommittingThread, Request, WriterState};
@@ -42,6 +43,9 @@ pub fn tokio_clock() -> Clock {
     let start = tokio::time::Instant::now();
     Arc::new(move || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX))
 }
+
+/// Entities that are removed together because their time is up.
+const MAX_EXPIRED: usize = 1000;
 
 /// The capacity of a working memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -211,6 +215,28 @@ impl WorkingMemory {
     /// The memory's time, ns.
     pub fn now_ns(&self) -> u64 {
         self.core.now_ns()
+    }
+
+    /// Whether the time of an entity is up.
+    pub(crate) fn has_expired(&self) -> bool {
+        !self.core.content().expired(self.now_ns(), 1).is_empty()
+    }
+
+    /// Removes the entities whose time is up ([`Snapshot::expires_ns`]), and returns how many. Those that change meanwhile stay.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when the backing fails.
+    pub fn remove_expired(&self) -> Result<usize, MemoryError> {
+        let (now_ns, mut removed) = (self.now_ns(), 0);
+        for (id, version) in self.core.content().expired(now_ns, MAX_EXPIRED) {
+            let removal = Commit { expected_version: Some(version), ..Commit::removal(id, now_ns) };
+            match self.commit_now(vec![removal]) {
+                Ok(_) => removed += 1,
+                Err(MemoryError::Conflict { .. } | MemoryError::ReadOnly { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(removed)
     }
 
     /// How many entities it holds, removed ones included.

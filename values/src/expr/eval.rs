@@ -102,6 +102,24 @@ pub(super) enum Node {
     Macro(Macro, Box<(Node, Node)>, Pos),
 }
 
+impl Node {
+    /// See [`Expr::wanted_text`](super::Expr::wanted_text).
+    pub(super) fn wanted_text(&self, slot: u32) -> Option<&str> {
+        match self {
+            Self::And(both, _) => both.0.wanted_text(slot).or_else(|| both.1.wanted_text(slot)),
+            Self::Compare(Comparison::Equal, both, _) => match &**both {
+                (Self::Data(read, _), Self::Text(text)) | (Self::Text(text), Self::Data(read, _))
+                    if *read == slot =>
+                {
+                    Some(text)
+                }
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+}
+
 /// An intermediate value: scalars by copy, others borrowed where possible.
 #[derive(Clone, Debug)]
 pub(super) enum Val<'v> {

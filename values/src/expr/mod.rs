@@ -244,6 +244,12 @@ impl Expr {
         check::compile(source, environment)
     }
 
+    /// The text that a slot has to be equal to for the expression to be true, where its form shows that: `slot == 'text'`, alone
+    /// or joined to others by `&&`. An index can then find what to evaluate it for.
+    pub fn wanted_text(&self, slot: u32) -> Option<&str> {
+        self.root.wanted_text(slot)
+    }
+
     /// The source text.
     pub fn source(&self) -> &str {
         &self.source

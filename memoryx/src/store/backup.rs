@@ -1,0 +1,85 @@
+//! A copy of the whole file while it is in use: of one moment, whatever is committed meanwhile.
+
+use std::path::{Path, PathBuf};
+
+use redb::{Database, Key, ReadTransaction, ReadableDatabase, ReadableTable, TableDefinition, Value};
+
+use super::error::Fault;
+use super::{
+    AGES, BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED, REMOVED,
+    StoreError,
+};
+
+/// Rows in one transaction of the copy.
+const ROWS: usize = 4096;
+
+impl LongTermMemory {
+    /// Copies everything into a new file beside this one, and returns its path. Commits go on meanwhile, and are not in the copy.
+    ///
+    /// # Errors
+    /// [`StoreError::Name`] when `name` is more than the name of a file; [`StoreError::Failed`] when there is such a file, this memory has
+    /// no file, or the disk fails.
+    pub fn back_up(&self, name: &str) -> Result<PathBuf, StoreError> {
+        let only_a_name = Path::new(name).file_name().is_some_and(|file| file == name);
+        if !only_a_name {
+            return Err(StoreError::Name { name: name.to_owned() });
+        }
+        let own = self.path.as_ref().ok_or_else(|| self.failed("it has no file"))?;
+        let copy = own.with_file_name(name);
+        if copy.exists() {
+            return Err(self.failed(&format!("there is a file `{}` already", copy.display())));
+        }
+        // It has its name when it is whole.
+        let unfinished = own.with_file_name(format!("{name}.unfinished"));
+        let copied = self.with(|database| {
+            // What is left of an earlier try.
+            let _ = std::fs::remove_file(&unfinished).is_ok();
+            let to = Database::create(&unfinished).map_err(redb::Error::from)?;
+            copy_all(&database.begin_read()?, &to)
+        });
+        let copied = copied.and_then(|()| {
+            std::fs::rename(&unfinished, &copy).map_err(|error| self.failed(&format!("the copy: {error}")))
+        });
+        if copied.is_err() {
+            let _ = std::fs::remove_file(&unfinished).is_ok();
+        }
+        copied.map(|()| copy)
+    }
+}
+
+fn copy_all(from: &ReadTransaction, to: &Database) -> Result<(), Fault> {
+    copy(from, to, ENTITIES)?;
+    copy(from, to, INDEX)?;
+    copy(from, to, CHUNKS)?;
+    copy(from, to, BLOBS)?;
+    copy(from, to, BLOB_USES)?;
+    copy(from, to, AGES)?;
+    copy(from, to, KEPT)?;
+    copy(from, to, REMOVED)?;
+    copy(from, to, GIVEN)?;
+    copy(from, to, NAMED)?;
+    copy(from, to, META)
+}
+
+fn copy<K: Key + 'static, V: Value + 'static>(
+    from: &ReadTransaction,
+    to: &Database,
+    table: TableDefinition<'_, K, V>,
+) -> Result<(), Fault> {
+    let from = from.open_table(table)?;
+    let mut rows = from.iter()?.peekable();
+    loop {
+        let transaction = to.begin_write()?;
+        {
+            let mut copied = transaction.open_table(table)?;
+            for row in rows.by_ref().take(ROWS) {
+                let (key, value) = row?;
+                copied.insert(key.value(), value.value())?;
+            }
+        }
+        transaction.commit()?;
+        if rows.peek().is_none() {
+            return Ok(());
+        }
+    }
+}
