@@ -12,7 +12,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use armarium_visionx::files::read_image;
-use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking, HandInPicture};
+use armarium_visionx::tracking::{
+    FingerTipSettings, FingerTipTracking, HandDetector, LearnedHandDetector, SkinHandDetector,
+};
 use armarium_visionx::{
     BoxModel, ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, ImageError,
     MarkerSettings, MarkerStep, ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
@@ -107,9 +109,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let photograph =
         read_image(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/photographs/b03_open_hand.jpg")))?;
-    measure("hand in one photograph", "a photograph of 480 x 640", |_| {
-        HandInPicture::find(&photograph).is_some()
-    });
+    let detectors: [(&str, Box<dyn HandDetector>); 3] = [
+        ("hand by skin", Box::new(SkinHandDetector::default())),
+        ("hand, learned", Box::new(LearnedHandDetector::of_images())),
+        ("hand, learned, followed", Box::new(LearnedHandDetector::of_sequence())),
+    ];
+    for (name, mut detector) in detectors {
+        measure(name, "a photograph of 480 x 640", |_| detector.find(&photograph).is_some());
+    }
     let model =
         BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
     let localizer = ObjectLocalizer::new(CALIBRATION, model);

@@ -8,7 +8,7 @@ use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
 use crate::mask::Region;
 use crate::tracking::hand::HandObservation;
-use crate::tracking::{HandInPicture, SkinSegmentation};
+use crate::tracking::{HandInPicture, HandLandmarks, HandOutline, SkinSegmentation};
 
 /// Why a picture could not be encoded.
 #[derive(Debug, thiserror::Error)]
@@ -100,9 +100,12 @@ pub fn hand(image: &mut RgbImage, hand: &HandObservation) {
     }
 }
 
-/// Draws a hand that was found in a single image: the rest of the image darker, its box, palm and fingertips.
+/// Draws a hand that was found in a single image: its box, palm and fingertips, and its bones, or the rest of the image darker.
 pub fn hand_in_picture(image: &mut RgbImage, hand: &HandInPicture) {
-    silhouette(image, &hand.segmentation);
+    match &hand.outline {
+        HandOutline::Silhouette(segmentation) => silhouette(image, segmentation),
+        HandOutline::Landmarks(landmarks) => bones(image, landmarks),
+    }
     region(image, &hand.bounding_box, [255, 40, 200]);
     circle(image, &hand.palm, hand.palm_radius, [0, 255, 0]);
     for tip in &hand.fingertips {
@@ -110,6 +113,14 @@ pub fn hand_in_picture(image: &mut RgbImage, hand: &HandInPicture) {
             circle(image, &tip.px, radius, [255, 255, 0]);
         }
         line(image, &hand.palm, &tip.px, [255, 255, 0]);
+    }
+}
+
+/// Draws lines from the wrist along the fingers.
+fn bones(image: &mut RgbImage, hand: &HandLandmarks) {
+    for finger in hand.points[1..].chunks_exact(4) {
+        let from = std::iter::once(&hand.points[0]).chain(finger);
+        from.zip(finger).for_each(|(from, to)| line(image, from, to, [0, 255, 255]));
     }
 }
 

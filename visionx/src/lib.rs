@@ -32,6 +32,7 @@ mod localizer;
 mod marker;
 mod mask;
 mod minimize;
+pub mod network;
 mod outline;
 mod particles;
 mod processor;

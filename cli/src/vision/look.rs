@@ -5,7 +5,9 @@ use std::path::Path;
 
 use armarium_source::Source;
 use armarium_visionx::files::{images_in, read_image};
-use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
+use armarium_visionx::tracking::{
+    GestureRecognizer, HandDetector, HandInPicture, HandOutline, SkinHandDetector, SkinSegmentation,
+};
 use armarium_visionx::{ColorModel, Region, RgbImage, annotate, components};
 
 use super::LookArgs;
@@ -14,10 +16,9 @@ use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip,
 use crate::render_findings::lines;
 
 /// What to search for.
-#[derive(Clone, Debug)]
 pub(super) enum Seek {
-    /// The hand, its fingertips, and its gesture among these.
-    Gesture(GestureRecognizer),
+    /// The hand, its fingertips, and its gesture, as this detector sees them.
+    Hand(Box<dyn HandDetector>),
     Skin,
     Marker([u8; 3]),
 }
@@ -28,7 +29,12 @@ const DRAWN: [u8; 3] = [255, 40, 200];
 
 /// Analyses each image. Returns 2 when one is unusable or has no output file, 1 when an annotated image cannot be
 /// written.
-pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+pub(super) fn run(
+    args: &LookArgs,
+    mut seek: Seek,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+) -> io::Result<u8> {
     let files = match images_in(&args.images) {
         Ok(files) => files,
         Err((path, error)) => return refuse(&format!("{}: {error}", path.display()), err),
@@ -51,7 +57,7 @@ pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut d
                 continue;
             }
         };
-        look(&name, &mut image, seek, args.json, out)?;
+        look(&name, &mut image, &mut seek, args.json, out)?;
         if let Err(message) = album.keep(&name, &image) {
             writeln!(err, "error: {message}")?;
             status = status.max(1);
@@ -60,11 +66,11 @@ pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut d
     Ok(status)
 }
 
-/// The recogniser with the patterns of a file, or with the built-in ones.
-pub(super) fn recognizer(patterns: Option<&Path>) -> Result<GestureRecognizer, String> {
-    let Some(path) = patterns else { return Ok(GestureRecognizer::default()) };
+/// The recogniser with the patterns of a file, if one is given.
+pub(super) fn recognizer(patterns: Option<&Path>) -> Result<Option<GestureRecognizer>, String> {
+    let Some(path) = patterns else { return Ok(None) };
     let source = Source::read(path).map_err(|finding| finding.to_string())?;
-    GestureRecognizer::read(source).map_err(|findings| lines(&findings))
+    GestureRecognizer::read(source).map(Some).map_err(|findings| lines(&findings))
 }
 
 pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
@@ -73,14 +79,20 @@ pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
 }
 
 /// Prints the detections and draws them into the image.
-fn look(file: &str, image: &mut RgbImage, seek: &Seek, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
-    let recognizer = match seek {
+fn look(
+    file: &str,
+    image: &mut RgbImage,
+    seek: &mut Seek,
+    as_json: bool,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    let detector = match seek {
         Seek::Marker(color) => return marker(file, image, *color, as_json, out),
         Seek::Skin => return skin(file, image, as_json, out),
-        Seek::Gesture(recognizer) => recognizer,
+        Seek::Hand(detector) => detector,
     };
-    let hand = HandInPicture::find(image);
-    let line = hand_line(file, hand.as_ref(), recognizer);
+    let hand = detector.find(image);
+    let line = hand_line(file, hand.as_ref());
     if let Some(hand) = &hand {
         annotate::hand_in_picture(image, hand);
     }
@@ -88,16 +100,11 @@ fn look(file: &str, image: &mut RgbImage, seek: &Seek, as_json: bool, out: &mut 
 }
 
 /// The line about a hand.
-pub(super) fn hand_line(
-    file: &str,
-    hand: Option<&HandInPicture>,
-    recognizer: &GestureRecognizer,
-) -> HandLine {
+pub(super) fn hand_line(file: &str, hand: Option<&HandInPicture>) -> HandLine {
     let file = file.to_owned();
     let Some(hand) = hand else {
         return HandLine { file, gesture: None, confidence: 0.0, hand: None, fingertips: Vec::new() };
     };
-    let (gesture, sure) = recognizer.recognize(&hand.fingers());
     let tip = |t: &armarium_visionx::Fingertip| Tip {
         x: rounded(t.px.x, 1),
         y: rounded(t.px.y, 1),
@@ -106,18 +113,22 @@ pub(super) fn hand_line(
     };
     HandLine {
         file,
-        gesture: Some(gesture),
-        confidence: rounded(sure * hand.segmentation.confidence, 3),
+        gesture: hand.gesture.clone(),
+        confidence: rounded(hand.confidence, 3),
         hand: Some(hand.bounding_box.into()),
         fingertips: hand.fingertips.iter().map(tip).collect(),
     }
 }
 
 fn skin(file: &str, image: &mut RgbImage, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
-    let hand = HandInPicture::find(image);
-    let line = skin_line(file, hand.as_ref(), image);
-    if let Some(hand) = &hand {
-        annotate::silhouette(image, &hand.segmentation);
+    let hand = SkinHandDetector::default().find(image);
+    let seen = hand.as_ref().and_then(|hand| match &hand.outline {
+        HandOutline::Silhouette(segmentation) => Some((hand, segmentation)),
+        HandOutline::Landmarks(_) => None,
+    });
+    let line = skin_line(file, seen, image);
+    if let Some((_, segmentation)) = seen {
+        annotate::silhouette(image, segmentation);
     }
     match as_json {
         true => json(&line, out),
@@ -125,16 +136,16 @@ fn skin(file: &str, image: &mut RgbImage, as_json: bool, out: &mut dyn Write) ->
     }
 }
 
-fn skin_line(file: &str, hand: Option<&HandInPicture>, image: &RgbImage) -> SkinLine {
-    let share = |h: &HandInPicture| {
+fn skin_line(file: &str, seen: Option<(&HandInPicture, &SkinSegmentation)>, image: &RgbImage) -> SkinLine {
+    let share = |s: &SkinSegmentation| {
         let pixels = f64::from(image.width()) * f64::from(image.height());
-        h.segmentation.mask.count() as f64 * h.segmentation.scale.powi(2) / pixels
+        s.mask.count() as f64 * s.scale.powi(2) / pixels
     };
     SkinLine {
         file: file.to_owned(),
-        confidence: hand.map_or(0.0, |h| rounded(h.segmentation.confidence, 3)),
-        hand: hand.map(|h| h.bounding_box.into()),
-        share: hand.map_or(0.0, |h| rounded(share(h).min(1.0), 4)),
+        confidence: seen.map_or(0.0, |(_, s)| rounded(s.confidence, 3)),
+        hand: seen.map(|(hand, _)| hand.bounding_box.into()),
+        share: seen.map_or(0.0, |(_, s)| rounded(share(s).min(1.0), 4)),
     }
 }
 
@@ -174,12 +185,12 @@ pub(crate) fn color(text: &str) -> Result<[u8; 3], String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::AnnotateArgs;
+    use super::super::{AnnotateArgs, Detector, DetectorArgs};
     use std::fs;
 
     use super::*;
 
-    fn looked(args: LookArgs, seek: &Seek) -> (u8, String, String) {
+    fn looked(args: LookArgs, seek: Seek) -> (u8, String, String) {
         let (mut out, mut err) = (Vec::new(), Vec::new());
         let status = run(&args, seek, &mut out, &mut err).expect("memory takes everything");
         let text = |bytes| String::from_utf8(bytes).expect("it is text");
@@ -203,7 +214,7 @@ mod tests {
         let annotated = folder.path().join("seen");
         let to = AnnotateArgs { annotate: Some(annotated.clone()) };
         let asked = LookArgs { annotate: to, ..args(vec![folder.path().into()]) };
-        let (status, out, err) = looked(asked, &Seek::Marker([40, 170, 60]));
+        let (status, out, err) = looked(asked, Seek::Marker([40, 170, 60]));
         let lines: Vec<serde_json::Value> =
             out.lines().map(|l| serde_json::from_str(l).expect("a line of JSON")).collect();
         assert_eq!((status, lines.len()), (2, 2), "{out}");
@@ -211,14 +222,16 @@ mod tests {
         assert_eq!(lines[1]["marker"]["x"], 17.5);
         assert_eq!(lines[1]["marker"]["area"], 400);
         assert!(annotated.join("b.png").is_file() && !annotated.join("a.png").exists());
-        let (_, out, _) =
-            looked(args(vec![folder.path().join("b.png")]), &Seek::Gesture(GestureRecognizer::default()));
-        let line: serde_json::Value = serde_json::from_str(&out).expect("a line of JSON");
-        assert!(
-            line["gesture"].is_null()
-                && line["hand"].is_null()
-                && line["fingertips"] == serde_json::json!([])
-        );
+        for detector in [Detector::Learned, Detector::Skin] {
+            let detector = DetectorArgs { detector }.of_images(None);
+            let (_, out, _) = looked(args(vec![folder.path().join("b.png")]), Seek::Hand(detector));
+            let line: serde_json::Value = serde_json::from_str(&out).expect("a line of JSON");
+            assert!(
+                line["gesture"].is_null()
+                    && line["hand"].is_null()
+                    && line["fingertips"] == serde_json::json!([])
+            );
+        }
     }
 
     #[test]
@@ -227,7 +240,7 @@ mod tests {
         for text in ["", "1,2", "1,2,3,4", "1,2,256", "red"] {
             assert!(color(text).is_err(), "{text}");
         }
-        assert_eq!(looked(args(vec!["/nowhere/at/all.png".into()]), &Seek::Skin).0, 2);
+        assert_eq!(looked(args(vec!["/nowhere/at/all.png".into()]), Seek::Skin).0, 2);
         assert!(recognizer(Some(Path::new("/nowhere/patterns.yaml"))).is_err());
     }
 }

@@ -12,7 +12,7 @@ mod train;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use armarium_visionx::tracking::GestureRecognizer;
+use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
 pub(crate) use look::color;
 
 /// Arguments of `vision`.
@@ -27,7 +27,7 @@ enum VisionCommand {
     /// The hand in each image, its gesture and its fingertips.
     Gesture(GestureArgs),
     /// The fingertips of the hand in each image.
-    Fingertips(LookArgs),
+    Fingertips(FingertipArgs),
     /// The largest object of a colour in each image.
     Marker(MarkerArgs),
     /// The pixels of the hand in each image.
@@ -61,11 +61,39 @@ pub(crate) struct AnnotateArgs {
     pub(crate) annotate: Option<PathBuf>,
 }
 
+/// How hands are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Detector {
+    /// By networks that were trained on photographs of hands.
+    Learned,
+    /// By the colour of skin and the hand's silhouette.
+    Skin,
+}
+
+/// The detector to use.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct DetectorArgs {
+    /// How hands are found.
+    #[arg(long, value_enum, default_value_t = Detector::Learned)]
+    pub(crate) detector: Detector,
+}
+
+/// Images, and how hands are found in them.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct FingertipArgs {
+    #[command(flatten)]
+    pub(crate) look: LookArgs,
+    #[command(flatten)]
+    pub(crate) detector: DetectorArgs,
+}
+
 /// Images, and the definition of gestures.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GestureArgs {
     #[command(flatten)]
     pub(crate) look: LookArgs,
+    #[command(flatten)]
+    pub(crate) detector: DetectorArgs,
     /// A YAML file of labelled finger patterns instead of the built-in ones.
     #[arg(long, value_name = "FILE")]
     pub(crate) patterns: Option<PathBuf>,
@@ -91,6 +119,8 @@ pub(crate) struct TrackArgs {
     #[arg(long, value_name = "TOPIC")]
     pub(crate) topic: Option<String>,
     #[command(flatten)]
+    pub(crate) detector: DetectorArgs,
+    #[command(flatten)]
     pub(crate) annotate: AnnotateArgs,
     /// One line of JSON per image.
     #[arg(long)]
@@ -109,6 +139,8 @@ pub(crate) struct TrainArgs {
     /// Folders of images or recordings, one per sequence; none with --simulated.
     #[arg(value_name = "FOLDER|RECORDING", required_unless_present = "simulated")]
     pub(crate) folders: Vec<PathBuf>,
+    #[command(flatten)]
+    pub(crate) detector: DetectorArgs,
     /// The output file of the model.
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
@@ -137,6 +169,27 @@ pub(crate) struct FiguresArgs {
     pub(crate) whole: bool,
 }
 
+impl DetectorArgs {
+    /// A detector for single images, with patterns of gestures instead of the built-in ones.
+    pub(crate) fn of_images(self, patterns: Option<GestureRecognizer>) -> Box<dyn HandDetector> {
+        match (self.detector, patterns) {
+            (Detector::Skin, patterns) => Box::new(SkinHandDetector::new(patterns.unwrap_or_default())),
+            (Detector::Learned, None) => Box::new(LearnedHandDetector::of_images()),
+            (Detector::Learned, Some(patterns)) => {
+                Box::new(LearnedHandDetector::of_images().with_patterns(patterns))
+            }
+        }
+    }
+
+    /// A detector for the images of a sequence.
+    pub(crate) fn of_sequence(self) -> Box<dyn HandDetector> {
+        match self.detector {
+            Detector::Skin => Box::new(SkinHandDetector::default()),
+            Detector::Learned => Box::new(LearnedHandDetector::of_sequence()),
+        }
+    }
+}
+
 /// A number from the command line that must be greater than 0.
 fn positive(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "this is no number".to_owned())?;
@@ -151,14 +204,17 @@ fn positive(text: &str) -> Result<f64, String> {
 pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     match &args.command {
         VisionCommand::Gesture(args) => match look::recognizer(args.patterns.as_deref()) {
-            Ok(recognizer) => look::run(&args.look, &look::Seek::Gesture(recognizer), out, err),
+            Ok(patterns) => {
+                let detector = args.detector.of_images(patterns);
+                look::run(&args.look, look::Seek::Hand(detector), out, err)
+            }
             Err(message) => look::refuse(&message, err),
         },
         VisionCommand::Fingertips(args) => {
-            look::run(args, &look::Seek::Gesture(GestureRecognizer::default()), out, err)
+            look::run(&args.look, look::Seek::Hand(args.detector.of_images(None)), out, err)
         }
-        VisionCommand::Skin(args) => look::run(args, &look::Seek::Skin, out, err),
-        VisionCommand::Marker(args) => look::run(&args.look, &look::Seek::Marker(args.color), out, err),
+        VisionCommand::Skin(args) => look::run(args, look::Seek::Skin, out, err),
+        VisionCommand::Marker(args) => look::run(&args.look, look::Seek::Marker(args.color), out, err),
         VisionCommand::Track(args) => track::run(args, out, err),
         VisionCommand::Train(args) => train::run(args, out, err),
         VisionCommand::Figures(args) => figures::run(*args, out),

@@ -24,7 +24,7 @@ pub(super) struct Tip {
     pub(super) id: Option<u64>,
 }
 
-/// A hand in an image; without one, `gesture` and `hand` are null.
+/// A hand in an image; without one, `gesture` and `hand` are null. `gesture` is also null for a hand that shows none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct HandLine {
     pub(super) file: String,
@@ -89,7 +89,7 @@ impl HandLine {
     /// The line for people.
     pub(super) fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(hand) = &self.hand else { return writeln!(out, "{}: no hand", self.file) };
-        let gesture = self.gesture.as_deref().unwrap_or("hand");
+        let gesture = self.gesture.as_deref().unwrap_or("no gesture");
         let tips: Vec<String> = self.fingertips.iter().map(|t| format!("({:.0}, {:.0})", t.x, t.y)).collect();
         write!(
             out,

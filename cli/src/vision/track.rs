@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use armarium_source::Source;
-use armarium_visionx::tracking::{ContourNode, FingerARModel, GestureRecognizer, TipFollower};
+use armarium_visionx::tracking::{ContourNode, FingerARModel, TipFollower};
 use armarium_visionx::{RgbImage, annotate};
 
 use super::TrackArgs;
@@ -29,14 +29,11 @@ pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) ->
         Ok(album) => album,
         Err(message) => return refuse(&message, err),
     };
-    let mut follower = TipFollower::new(model, args.focal);
-    let recognizer = GestureRecognizer::default();
+    let mut follower = TipFollower::new(args.detector.of_sequence(), model, args.focal);
     let (mut status, mut failed) = (0u8, Ok(()));
     let played = sequence.each(|(name, image)| {
         let written = match image {
-            Ok(mut image) => {
-                one(&name, &mut image, &mut follower, (&recognizer, &mut album, args.json), out, err)
-            }
+            Ok(mut image) => one(&name, &mut image, &mut follower, (&mut album, args.json), out, err),
             Err(error) => complain(&name, &error, args.json, out, err),
         };
         match written {
@@ -77,7 +74,7 @@ fn one(
     name: &str,
     image: &mut RgbImage,
     follower: &mut TipFollower,
-    (recognizer, album, as_json): (&GestureRecognizer, &mut Album, bool),
+    (album, as_json): (&mut Album, bool),
     out: &mut dyn Write,
     err: &mut dyn Write,
 ) -> io::Result<u8> {
@@ -89,7 +86,7 @@ fn one(
         id: Some(n.id),
     };
     let fingertips = seen.nodes.iter().map(tip).collect();
-    let line = HandLine { fingertips, ..hand_line(name, seen.hand.as_ref(), recognizer) };
+    let line = HandLine { fingertips, ..hand_line(name, seen.hand.as_ref()) };
     if as_json {
         json(&line, out)?;
     } else {

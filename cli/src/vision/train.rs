@@ -57,7 +57,7 @@ pub(super) fn run(args: &TrainArgs, out: &mut dyn Write, err: &mut dyn Write) ->
 fn seen(path: &Path, args: &TrainArgs) -> Result<Vec<Path2>, String> {
     let sequence = Sequence::open(path, None)?;
     let walk = FingerARModel::random_walk(0.02, args.rate);
-    let mut follower = TipFollower::new(walk, args.focal);
+    let mut follower = TipFollower::new(args.detector.of_sequence(), walk, args.focal);
     let mut paths: BTreeMap<u64, Path2> = BTreeMap::new();
     sequence.each(|(_, image)| {
         let Ok(image) = image else { return true };

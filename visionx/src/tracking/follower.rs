@@ -1,4 +1,4 @@
-//! Follows the fingertips of one hand through a sequence of images: the hand of each image is found alone, and the
+//! Follows the fingertips of one hand through a sequence of images: a detector finds the hand in each image, and the
 //! filter of the tips joins them. It knows no depth and no calibration; [`FingerTipTracking`](super::FingerTipTracking)
 //! is for stereo streams.
 
@@ -7,7 +7,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    ContourNode, FilterFrame, FingerARModel, HandInPicture, ParticleFilterFingerTracking, TipCandidate,
+    ContourNode, FilterFrame, FingerARModel, HandDetector, HandInPicture, ParticleFilterFingerTracking,
+    TipCandidate,
 };
 use crate::RgbImage;
 use crate::tracking::hand::Fingertip;
@@ -21,6 +22,7 @@ const USUAL_FOCAL: f64 = 1.2;
 
 /// Tracks the fingertips of one hand through the images of one unknown camera.
 pub struct TipFollower {
+    detector: Box<dyn HandDetector>,
     filter: ParticleFilterFingerTracking,
     rng: ChaCha8Rng,
     focal: Option<f64>,
@@ -42,9 +44,9 @@ pub struct FollowedTips {
 
 impl TipFollower {
     /// With `model` of how tips move, and a focal length, px; without one, a usual one for the size of the images.
-    pub fn new(model: FingerARModel, focal: Option<f64>) -> Self {
+    pub fn new(detector: Box<dyn HandDetector>, model: FingerARModel, focal: Option<f64>) -> Self {
         let filter = ParticleFilterFingerTracking::new(model, PARTICLES);
-        Self { filter, rng: ChaCha8Rng::seed_from_u64(1), focal, size: None }
+        Self { detector, filter, rng: ChaCha8Rng::seed_from_u64(1), focal, size: None }
     }
 
     /// Processes the next image. Tracking restarts when the image size changes, because positions would not
@@ -57,7 +59,7 @@ impl TipFollower {
         let (w, h) = (f64::from(image.width()), f64::from(image.height()));
         let focal = self.focal.unwrap_or(USUAL_FOCAL * w.max(h));
         let center = [(w - 1.0) / 2.0, (h - 1.0) / 2.0];
-        let hand = HandInPicture::find(image);
+        let hand = self.detector.find(image);
         if let Some(hand) = &hand {
             let radius = TIP * hand.palm_radius;
             let outward = |t: &Fingertip| (t.px - hand.palm).try_normalize(1e-9);

@@ -2,18 +2,21 @@
 //!
 //! - [`FingerTipTracking`]: the fingertips in a stream of stereo frames. It is built from [`edge_map`],
 //!   [`AdaptiveHoughTransform`], [`ParticleFilterFingerTracking`] and [`FingerARModel`].
-//! - [`HandInPicture`]: the hand, its fingertips and its gesture in one image of an unknown camera, segmented by
-//!   [`SkinSegmentation`]; [`TipFollower`] joins what is seen in a sequence of them.
+//! - [`HandInPicture`]: the hand, its fingertips and its gesture in one image of an unknown camera. A [`HandDetector`] finds it:
+//!   [`LearnedHandDetector`] by trained networks, [`SkinHandDetector`] by its colour ([`SkinSegmentation`]). [`TipFollower`] joins
+//!   what is seen in a sequence of images.
 //! - [`GestureRecognizer`]: recognises gestures by patterns of fingers from a file.
 
 mod ar_model;
 mod contour_filter;
+mod detector;
 mod edges;
 mod follower;
 pub mod hand;
 mod hough;
 mod hypotheses;
 mod lab;
+mod learned;
 mod likeness;
 mod mixture;
 mod photograph;
@@ -24,10 +27,12 @@ mod tips;
 
 pub use ar_model::{ArModelError, FingerARModel};
 pub use contour_filter::{ContourNode, FilterFrame, ParticleFilterFingerTracking};
+pub use detector::{HandDetector, HandInPicture, HandOutline};
 pub use edges::{Edge, edge_map};
 pub use follower::{FollowedTips, TipFollower};
 pub use hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
-pub use photograph::HandInPicture;
+pub use learned::{FingerBends, HandLandmarks, LearnedHandDetector};
+pub use photograph::SkinHandDetector;
 pub use recognizer::{Expected, GesturePattern, GestureRecognizer, SeenFinger};
 pub use skin::SkinSegmentation;
 pub use tips::{FingerTipSettings, FingerTipTracking, TrackedFingertip};

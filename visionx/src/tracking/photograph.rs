@@ -1,11 +1,12 @@
-//! A hand in one image of an unknown camera: its palm, its stretched fingers and its gesture.
+//! A hand in one image of an unknown camera by its colour: its palm, its stretched fingers and its gesture.
 //!
 //! [`SkinSegmentation`] segments the hand. Its distance is unknown, so its palm is assumed to have a typical size,
 //! and all lengths are relative to it.
 
 use nalgebra::{Point2, Vector2};
 
-use super::recognizer::SeenFinger;
+use super::detector::{HandDetector, HandInPicture, HandOutline};
+use super::recognizer::GestureRecognizer;
 use super::skin::SkinSegmentation;
 use crate::components::largest_bounds;
 use crate::distance::inside;
@@ -21,25 +22,21 @@ const PAD: f64 = 0.0022;
 /// Largest distance of a hand's pixel from the palm's centre, palm radii; farther pixels are arm.
 const REACH: f64 = 5.2;
 
-/// A hand in one image.
-#[derive(Clone, Debug)]
-pub struct HandInPicture {
-    /// Its silhouette at the segmentation's resolution.
-    pub segmentation: SkinSegmentation,
-    /// Bounding box in the image.
-    pub bounding_box: Region,
-    /// Centre of the palm, px of the image.
-    pub palm: Point2<f64>,
-    /// Radius of the largest disc in the palm, px of the image.
-    pub palm_radius: f64,
-    /// Stretched fingers in order around the palm, px of the image.
-    pub fingertips: Vec<Fingertip>,
-    shape: HandShape,
+/// Finds the hand by the colour of skin and its silhouette.
+#[derive(Clone, Debug, Default)]
+pub struct SkinHandDetector {
+    recognizer: GestureRecognizer,
 }
 
-impl HandInPicture {
-    /// Finds the hand in an image, `None` where there is none.
-    pub fn find(image: &RgbImage) -> Option<Self> {
+impl SkinHandDetector {
+    /// A detector that knows gestures by these patterns.
+    pub fn new(recognizer: GestureRecognizer) -> Self {
+        Self { recognizer }
+    }
+}
+
+impl HandDetector for SkinHandDetector {
+    fn find(&mut self, image: &RgbImage) -> Option<HandInPicture> {
         let segmentation = SkinSegmentation::of(image)?;
         let (palm, radius) = widest(&segmentation.mask)?;
         let hand = near(&segmentation.mask, &palm, REACH * radius);
@@ -51,20 +48,19 @@ impl HandInPicture {
         let fingertips = fingertips
             .map(|f| Fingertip { px: place(&inside_end(f, pixel_m)), in_left: None, score: f.score })
             .collect();
+        let fingers: Vec<_> = shape.fingers.iter().map(|f| f.seen(shape.palm_radius)).collect();
+        let (gesture, sure) = self.recognizer.recognize(&fingers);
         let whole = Region::whole(image.width(), image.height());
-        Some(Self {
+        Some(HandInPicture {
             bounding_box: enlarged(&largest_bounds(&hand), scale, &whole),
             palm: place(&shape.palm),
             palm_radius: radius * scale,
             fingertips,
-            shape,
-            segmentation,
+            fingers,
+            gesture: Some(gesture),
+            confidence: sure * segmentation.confidence,
+            outline: HandOutline::Silhouette(segmentation),
         })
-    }
-
-    /// Possible stretched fingers, as input of a [`super::GestureRecognizer`].
-    pub fn fingers(&self) -> Vec<SeenFinger> {
-        self.shape.fingers.iter().map(|f| f.seen(self.shape.palm_radius)).collect()
     }
 }
 

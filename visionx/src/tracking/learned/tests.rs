@@ -1,0 +1,91 @@
+use nalgebra::{Point3, Rotation3, Vector3};
+
+use super::square::{Outside, Square};
+use super::*;
+use crate::Gesture;
+
+/// A hand whose fingers (thumb first) are bent by these angles at each of their three joints, degrees.
+fn bent(angles: [f64; 5]) -> HandLandmarks {
+    let mut in_hand = [Point3::origin(); 21];
+    for (finger, angle) in landmarks::FINGERS.iter().zip(angles) {
+        let side = (finger[0] as f64 - 9.0) * 0.004;
+        let mut along = Vector3::new(side, -0.09, 0.0).normalize();
+        in_hand[finger[0]] = Point3::from(along * 0.09);
+        for joint in finger.windows(2) {
+            along = Rotation3::from_axis_angle(&Vector3::x_axis(), angle.to_radians()) * along;
+            in_hand[joint[1]] = in_hand[joint[0]] + along * 0.03;
+        }
+    }
+    HandLandmarks { points: in_hand.map(|p| Point2::new(1000.0 * p.x, 1000.0 * p.y)), in_hand, presence: 1.0 }
+}
+
+#[test]
+fn gestures_are_bends_of_fingers() {
+    let (flat, folded) = (10.0, 55.0);
+    for (fingers, gesture) in [
+        ([28.0, folded, folded, folded, folded], Some(Gesture::Fist)),
+        ([28.0, flat, folded, folded, folded], Some(Gesture::PointOne)),
+        ([28.0, 40.0, folded, folded, folded], Some(Gesture::PointOne)),
+        ([28.0, flat, flat, folded, folded], Some(Gesture::PointTwo)),
+        ([28.0, flat, flat, flat, flat], Some(Gesture::OpenHand)),
+        ([flat, flat, flat, flat, flat], Some(Gesture::OpenHand)),
+        // Thumbs up; the little finger alone; three fingers.
+        ([flat, folded, folded, folded, folded], None),
+        ([28.0, folded, folded, folded, flat], None),
+        ([28.0, flat, flat, flat, folded], None),
+    ] {
+        let bends = FingerBends::of(&bent(fingers));
+        assert!((bends.0[2] - 3.0 * fingers[2]).abs() < 1e-6, "{bends:?}");
+        assert_eq!(bends.gesture().map(|(gesture, _)| gesture), gesture, "{fingers:?}");
+        assert!(bends.likelihoods().iter().sum::<f64>() <= 1.0 + 1e-12);
+    }
+}
+
+#[test]
+fn the_square_of_the_next_image_turns_and_grows_with_the_hand() {
+    let hand = bent([10.0; 5]);
+    let square = hand.square().unwrap();
+    assert!(square.down.y > 0.99, "the fingers are up: {square:?}");
+    let (turn, shift) = (nalgebra::Rotation2::new(0.7), Vector2::new(30.0, -20.0));
+    let moved = HandLandmarks { points: hand.points.map(|p| turn * p * 2.0 + shift), ..hand };
+    let expected = turn * square.center * 2.0 + shift;
+    let seen = moved.square().unwrap();
+    assert!((seen.center - expected).norm() < 1e-9 && (seen.side - 2.0 * square.side).abs() < 1e-9);
+    assert!((seen.down - turn * square.down).norm() < 1e-9);
+    let nothing = HandLandmarks { points: [Point2::origin(); 21], ..moved };
+    assert_eq!(nothing.square(), None);
+}
+
+/// An image whose red is the column and whose green is the row.
+fn ramp(width: u32, height: u32) -> RgbImage {
+    let data = (0..height).flat_map(|y| (0..width).flat_map(move |x| [x as u8, y as u8, 7])).collect();
+    RgbImage::from_rgb(width, height, data).unwrap()
+}
+
+#[test]
+fn a_square_is_sampled_where_it_is() {
+    let image = ramp(120, 90);
+    for (side, angle) in [(16.0, 0.0f64), (40.0, 0.4), (60.0, 2.0)] {
+        let down = Vector2::new(-angle.sin(), angle.cos());
+        let square = Square { center: Point2::new(60.0, 45.0), side, down };
+        let pixels = square.sample(&image, 20, Outside::Nearest);
+        for (i, color) in pixels.as_chunks::<3>().0.iter().enumerate() {
+            let [x, y] = [i % 20, i / 20].map(|at| (at as f64 + 0.5) / 20.0);
+            let at = square.in_image(x, y);
+            // Half a pixel where the nearest pixels are averaged.
+            let limit = if side > 40.0 { 0.51 } else { 1e-3 };
+            assert!((f64::from(color[0]) * 255.0 - at.x).abs() < limit, "{side}: {color:?} at {at}");
+            assert!((f64::from(color[1]) * 255.0 - at.y).abs() < limit, "{side}: {color:?} at {at}");
+        }
+    }
+    let around = Square::around(&image).sample(&image, 12, Outside::Black);
+    assert_eq!(&around[..3], [0.0; 3], "above a wide image is nothing");
+    assert!((around[3 * 12 * 6 + 2] - 7.0 / 255.0).abs() < 1e-6);
+    let far = Square { center: Point2::new(-500.0, 1e6), side: 20.0, down: Vector2::y() };
+    let corner = far.sample(&image, 2, Outside::Nearest);
+    assert!(
+        corner[..3].iter().zip([0.0, 89.0, 7.0]).all(|(value, of)| (value * 255.0 - of).abs() < 1e-3),
+        "{corner:?}"
+    );
+    assert_eq!(far.sample(&image, 2, Outside::Black), [0.0; 12]);
+}
