@@ -48,6 +48,9 @@ pub(crate) struct RunArgs {
     /// The long-term store of motions.
     #[arg(long, value_name = "FILE", default_value = "armarium.redb")]
     pub(crate) store: PathBuf,
+    /// A core segment that is kept in the store, too, and known again at the start, for instance `EnvironmentModels`; may be repeated.
+    #[arg(long, value_name = "SEGMENT")]
+    pub(crate) remember: Vec<String>,
     /// An input of the chart, for instance `contact_force=10` or `patience=30s`; may be repeated.
     #[arg(long = "set", value_name = "INPUT=VALUE", value_parser = parse_input)]
     pub(crate) inputs: Vec<(String, String)>,
@@ -165,6 +168,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         report: args.report.clone(),
         keep_reports: !args.force,
         store: args.store.clone(),
+        remember: args.remember.clone(),
         record: args.record.clone(),
         real_time: args.speed == Speed::RealTime,
         name: args.name.clone(),

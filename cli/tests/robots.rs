@@ -174,7 +174,7 @@ fn keep_ellipse(store: &Path) {
     let json = serde_json::to_value(&motion).expect("it is data");
     let attributes = BTreeMap::from([("motion".to_owned(), Value::from_json(&json))]);
     let id = EntityId::new("Motions", &world.robot.name, "ellipse").expect("an address");
-    let memory = memory_of_run(&world, store).expect("a store");
+    let memory = memory_of_run(&world, store, &[]).expect("a store");
     memory.memory().commit_now(vec![Commit::new(id, 1, attributes)]).expect("it is kept");
     memory.flush().expect("it is written");
 }

@@ -282,7 +282,7 @@ impl Stage {
             }
             _ => (None, None),
         };
-        let memory = memory_of_run(world, &config.store)?;
+        let memory = memory_of_run(world, &config.store, &config.remember)?;
         let (seed, known) = (config.seed, memory.memory());
         let (mut robot, mover) = match outside {
             Some(outside) => {
@@ -416,7 +416,7 @@ impl Stage {
         let (equipment, handle) = (&self.robot.equipment, self.robot.handle.clone());
         vec![
             record_robot(&equipment.robot, side_tasks::sensor_of(equipment), self.recorder.clone()),
-            tokio::spawn(side_tasks::watch_gestures(
+            tokio::spawn(side_tasks::watch_perception(
                 Arc::clone(self.memory.memory()),
                 self.robot.referee.clone(),
                 self.recorder.clone(),

@@ -44,6 +44,8 @@ pub struct RunConfig {
     pub keep_reports: bool,
     /// The long-term store of motions.
     pub store: PathBuf,
+    /// Core segments, besides `Motions`, that are kept in it and known again at the start, such as `EnvironmentModels`.
+    pub remember: Vec<String>,
     /// The record of the engine's turns, for [`replay`](crate::replay::Replay).
     pub record: Option<PathBuf>,
     /// Whether time is real. With other agents it always is.
@@ -88,6 +90,7 @@ impl RunConfig {
             report: "report".into(),
             keep_reports: false,
             store: "armarium.redb".into(),
+            remember: Vec::new(),
             record: None,
             real_time: false,
             name: None,

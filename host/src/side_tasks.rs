@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::{Memory as _, Pattern, Query, Snapshot, WorkingMemory};
 use armarium_runtime::exec::Controller;
-use armarium_simulator::Handle;
+use armarium_simulator::{Handle, KnownSurface};
 use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
@@ -21,13 +21,13 @@ use crate::report::JointLog;
 use crate::run_log::RunLog;
 use crate::signals::signalled;
 
-/// Passes the gesture that vision recognises in each frame to the referee, and records it.
-pub(crate) async fn watch_gestures(
+/// Passes the gesture that vision recognises in each frame to the referee, and records it; and what memory tells of surfaces.
+pub(crate) async fn watch_perception(
     memory: Arc<WorkingMemory>,
     referee: armarium_simulator::Referee,
     recorder: SharedRecorder,
 ) {
-    let mut changes = memory.changes(&Pattern::segment("HumanHands"));
+    let mut changes = memory.changes(&Pattern::any());
     loop {
         match changes.recv().await {
             Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
@@ -38,10 +38,22 @@ pub(crate) async fn watch_gestures(
                     recorder.write(|recorder| recorder.json("/vision/hand", snapshot.referenced_ns, &seen));
                 }
             }
+            Ok(snapshot) if snapshot.id.segment() == "EnvironmentModels" => {
+                referee.surface_known(snapshot.referenced_ns, snapshot.id.entity(), surface(&snapshot));
+            }
             Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(_) => return,
         }
     }
+}
+
+/// A surface as memory knows it; `None` of what is gone or is no surface.
+fn surface(snapshot: &Snapshot) -> Option<KnownSurface> {
+    let probability = snapshot.instance()?.confidence;
+    let Some(Value::Pose(pose)) = snapshot.attribute("pose") else { return None };
+    let [x, y, _] = snapshot.attribute("size")?.as_vector3()?;
+    let class = snapshot.attribute("class")?.as_str()?.to_owned();
+    Some(KnownSurface { class, root_from_surface: pose.isometry(), size: [x, y], probability })
 }
 
 /// Records what memory knows, and what changes in it; times are those of `clock`.

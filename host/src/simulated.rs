@@ -101,15 +101,18 @@ fn through_own_eyes(equipment: &Equipment, images: Arc<dyn ImageSource>) -> Arc<
 }
 
 /// The memory of a run: prior knowledge of the world's objects, and the motions in the store, which other runs may use at the
-/// same time.
+/// same time. Core segments of `remember` are kept there and known again, too.
 ///
 /// # Errors
 /// [`HostError::Memory`] when the store cannot be used.
-pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostError> {
+pub fn memory_of_run(world: &World, store: &Path, remember: &[String]) -> Result<AgentMemory, HostError> {
     let mut config = MemoryConfig::new(&world.robot.name).with_store(store);
     config.shared = true;
-    config.policies = Policies::all(Policy::Nothing).with(MOTIONS, Policy::AtMost { hz: 1.0 });
-    config.restored = Restored::Only(vec![MOTIONS.to_owned()]);
+    let kept: Vec<String> = remember.iter().cloned().chain([MOTIONS.to_owned()]).collect();
+    let policies = Policies::all(Policy::Nothing);
+    config.policies =
+        kept.iter().fold(policies, |all, segment| all.with(segment, Policy::AtMost { hz: 1.0 }));
+    config.restored = Restored::Only(kept);
     config.limits = MemoryLimits::default();
     config.prior = prior_knowledge(world)?;
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)

@@ -251,7 +251,12 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
             .optional("joints", Type::map(Type::FLOAT), "joint positions by name, rad"),
         SegmentSchema::new("EnvironmentModels", "Tables, walls and other places.")
             .optional("pose", Type::Pose, "pose of the model, m")
-            .optional("size", Type::list(metres()), "extent along its x, y and z, m"),
+            .optional("size", Type::list(metres()), "extent along its x, y and z, m")
+            .optional(
+                "plane_covariance",
+                numbers(),
+                "of a flat surface: nine numbers, covariance of its height along its z, m, and its slopes along its x and y, rad",
+            ),
         SegmentSchema::new("Grasps", "Grasps that were tried.")
             .required("object", Type::String, "address or class of the object")
             .optional("pose", Type::Pose, "pose of the hand in the object's frame, m")

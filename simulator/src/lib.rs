@@ -28,7 +28,7 @@ pub mod truth;
 pub mod world;
 
 pub use error::{PlantError, SimulationError};
-pub use referee::{Milestone, Referee};
+pub use referee::{KnownSurface, Milestone, Referee};
 pub use simulation::{Handle, Options, RobotInWorld, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
 pub use world::World;

@@ -75,6 +75,9 @@ pub struct FrameTruth {
     pub since_s: f64,
     /// Whether the whole hand is in both images and nothing hides it.
     pub visible: bool,
+    /// Where the left camera truly was, root frame. In the recording it follows from the joints.
+    #[serde(skip)]
+    pub root_from_left: Isometry3<f64>,
 }
 
 /// An event. In the recording: `/truth/events`.

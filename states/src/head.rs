@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use armarium_robot::{Gaze, Lease, Model, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::lease;
 use crate::equipment::Equipment;
@@ -53,6 +53,16 @@ impl Head {
     /// Whether it can turn.
     pub(crate) fn turns(&self) -> bool {
         self.lease.is_some()
+    }
+
+    /// Where the cameras are and where they look from there when the head is as at the start, with all other joints as in `sample`: a
+    /// place in the root frame, m, and a unit vector.
+    pub(crate) fn straight(&self, sample: &Sensed) -> (Point3<f64>, Vector3<f64>) {
+        let mut q = sample.position.clone();
+        self.joints.iter().for_each(|&j| q[j] = self.model.start()[j]);
+        let eye = self.model.camera().map(|camera| self.model.link_pose(&q, camera.left));
+        let eye = eye.unwrap_or_else(Isometry3::identity);
+        (Point3::from(eye.translation.vector), eye.rotation * Vector3::z())
     }
 
     /// Turns towards `point` (root frame, m) for `dt` s, each joint with at most `speed` rad/s, as close as the

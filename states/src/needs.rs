@@ -43,6 +43,8 @@ const CAMERAS: &[&str] = &[
     "MovementImitation",
     "VisionCoaching",
     "LookAt",
+    "LookAround",
+    "ModelEnvironment",
     "WatchCoach",
 ];
 

@@ -19,6 +19,9 @@ const THICKNESS: f64 = 0.02;
 /// A place that is nearer than this to where a hand grasps is what it works on, m.
 const WORKED_ON: f64 = 0.1;
 
+/// The core segment of places.
+pub(crate) const PLACES: &str = "EnvironmentModels";
+
 /// The time of what always holds, ns.
 const NOW: u64 = 0;
 
@@ -93,7 +96,15 @@ pub(crate) async fn known(remembered: Remembered<'_>) -> Result<Vec<Known>, Fail
 
 /// What memory holds now of places: tables, walls. What has no pose in the root frame or no extent is left out.
 pub(crate) async fn places(remembered: Remembered<'_>) -> Result<Vec<KnownBox>, Failure> {
-    let known = segment(remembered.memory, "EnvironmentModels").await?;
+    places_where(remembered, |_| true).await
+}
+
+/// Of the same those for which `wanted` is true.
+pub(crate) async fn places_where(
+    remembered: Remembered<'_>,
+    wanted: impl Fn(&Snapshot) -> bool,
+) -> Result<Vec<KnownBox>, Failure> {
+    let known = segment(remembered.memory, PLACES).await?;
     let place = |place: &Arc<Snapshot>| {
         let mut size = place.attribute("size").and_then(Value::as_vector3)?;
         let is_surface = size[2] == 0.0;
@@ -106,7 +117,7 @@ pub(crate) async fn places(remembered: Remembered<'_>) -> Result<Vec<KnownBox>, 
         }
         Some(shape)
     };
-    Ok(known.iter().filter_map(place).collect())
+    Ok(known.iter().filter(|known| wanted(known)).filter_map(place).collect())
 }
 
 async fn segment(memory: &dyn Memory, name: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {

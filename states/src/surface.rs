@@ -3,11 +3,12 @@
 //! It is what skills ask instead of taking z for up. Its outward normal is the way from which a hand grasps and along which a
 //! tool presses.
 
+use armarium_memoryx::Snapshot;
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
-use crate::places::{Remembered, places};
+use crate::places::{Remembered, places, places_where};
 
 /// What stands on a surface has its underside within this of it, m.
 const STANDS: f64 = 0.04;
@@ -53,9 +54,17 @@ impl Surface {
         memory: Remembered<'_>,
         point: &Point3<f64>,
     ) -> Result<Option<Self>, Failure> {
-        let known = places(memory).await?;
-        let tops = known.iter().filter_map(|place| top_under(place, point));
-        Ok(tops.min_by(|a, b| a.above(point).abs().total_cmp(&b.above(point).abs())))
+        Ok(nearest_under(&places(memory).await?, point))
+    }
+
+    /// The surface of this robot's model of its environment over which a point is, if there is one.
+    pub(crate) async fn modelled_under(
+        memory: Remembered<'_>,
+        point: &Point3<f64>,
+    ) -> Result<Option<Self>, Failure> {
+        let modelled = |place: &Snapshot| place.attribute("plane_covariance").is_some();
+        let known = places_where(memory, modelled).await?;
+        Ok(nearest_under(&known, point))
     }
 
     /// A pose on it, with its normal as z.
@@ -89,6 +98,12 @@ impl Surface {
 pub(crate) fn from_level(normal: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), normal)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
+}
+
+/// Of the upper faces over which a point is, the one that is nearest below it.
+fn nearest_under(places: &[KnownBox], point: &Point3<f64>) -> Option<Surface> {
+    let tops = places.iter().filter_map(|place| top_under(place, point));
+    tops.min_by(|a, b| a.above(point).abs().total_cmp(&b.above(point).abs()))
 }
 
 /// The upper face of a place, if the point is over it.

@@ -199,6 +199,7 @@ fn frame(json: &Value) -> Option<FrameTruth> {
         gesture: json["gesture"].as_str().and_then(gesture),
         since_s: json["since_s"].as_f64()?,
         visible: json["visible"].as_bool()?,
+        root_from_left: Isometry3::identity(),
     })
 }
 

@@ -17,6 +17,10 @@ pub struct Observation {
     pub segment: String,
     /// Its class, by which it is told from others in the segment: `sponge`, `hand`, `table`.
     pub class: String,
+    /// The name of the entity that it is of, from an observer who follows its entities himself; otherwise whoever remembers it finds
+    /// out. One of no confidence says that the entity is no longer there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub entity: Option<String>,
     /// The time of the observation, ns; for images that of the exposure.
     pub stamp_ns: u64,
     /// Where its centre is; `None` when it was not seen, or has no place.
@@ -55,7 +59,21 @@ impl Observation {
     #[must_use]
     pub fn new(segment: &str, class: &str, stamp_ns: u64) -> Self {
         let (segment, class) = (segment.into(), class.into());
-        Self { segment, class, stamp_ns, place: None, confidence: 1.0, attributes: BTreeMap::new() }
+        Self {
+            segment,
+            class,
+            entity: None,
+            stamp_ns,
+            place: None,
+            confidence: 1.0,
+            attributes: BTreeMap::new(),
+        }
+    }
+
+    /// The same of the entity with this name.
+    #[must_use]
+    pub fn named(self, entity: &str) -> Self {
+        Self { entity: Some(entity.into()), ..self }
     }
 
     /// The same at a place.
@@ -81,6 +99,9 @@ impl Observation {
     pub fn to_json(&self) -> Json {
         let mut said = Value::Map(self.attributes.clone()).to_json();
         (said["class"], said["confidence"]) = (self.class.as_str().into(), self.confidence.into());
+        if let Some(entity) = &self.entity {
+            said["entity"] = entity.as_str().into();
+        }
         if let Some(ObservedPlace { position, .. }) = &self.place {
             (said["position"], said["frame"]) =
                 (position.components.to_vec().into(), position.frame.0.clone().into());
@@ -88,7 +109,7 @@ impl Observation {
         said
     }
 
-    /// What other programs say: `segment`, `class`, `stamp_ns`, `confidence` (1 unless it is said), of a place `position` (m) with its
+    /// What other programs say: `segment`, `class`, `stamp_ns`, `confidence` (1 unless it is said), `entity` if its observer follows it, of a place `position` (m) with its
     /// `frame` and `covariance` (nine numbers, m²), and all else as attributes.
     ///
     /// # Errors
@@ -110,6 +131,9 @@ impl Observation {
         let stamp_ns = fields.get("stamp_ns").and_then(Json::as_u64);
         let stamp_ns = stamp_ns.ok_or_else(|| wanted("stamp_ns", "a time, ns"))?;
         let mut seen = Self::new(text("segment")?, text("class")?, stamp_ns);
+        if fields.contains_key("entity") {
+            seen = seen.named(text("entity")?);
+        }
         if let Some(confidence) = fields.get("confidence") {
             seen = seen.with_confidence(
                 confidence.as_f64().ok_or_else(|| wanted("confidence", "a number, 0 to 1"))?,
@@ -121,7 +145,7 @@ impl Observation {
             let position = numbers("position", 3)?;
             seen = seen.at(ObservedPlace::new(&frame, &Vector3::from_column_slice(&position), &covariance));
         }
-        let own = ["segment", "class", "stamp_ns", "confidence", "position", "frame", "covariance"];
+        let own = ["segment", "class", "entity", "stamp_ns", "confidence", "position", "frame", "covariance"];
         for (name, value) in fields.iter().filter(|(name, _)| !own.contains(&name.as_str())) {
             seen = seen.with(name, Value::from_json(value));
         }

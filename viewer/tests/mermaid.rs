@@ -69,6 +69,7 @@ fn mermaid_draws_every_chart_and_shows_every_text_as_it_was() {
         "guide",
         "guide_both",
         "learn_wiping",
+        "look_around",
         "reach_told",
         "share_scene",
         "take_together",

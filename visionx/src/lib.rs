@@ -6,7 +6,8 @@
 //! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points; [`EpipolarCheck`]: checks a calibration.
 //! - [`ColorModel`], [`Mask`], [`components`]: colour segmentation and connected components.
 //! - [`ColorMarkerObjectTracking`]: tracks an object of known colour. [`ObjectLocalizer`]: the pose of a box of known
-//!   colour and size. [`TabletopSegmentation`]: a table and the objects on it. [`HandObserver`]: a person's hand, its
+//!   colour and size. [`TabletopSegmentation`]: a table and the objects on it.
+//!   [`EnvironmentModel`]: tables, shelves, walls and the floor, fused over time. [`HandObserver`]: a person's hand, its
 //!   gesture and where it points.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.
@@ -22,6 +23,7 @@ mod color;
 mod components;
 mod counter;
 mod distance;
+mod environment;
 mod epipolar;
 pub mod files;
 mod frame;
@@ -35,6 +37,8 @@ mod minimize;
 pub mod network;
 mod outline;
 mod particles;
+mod plane;
+mod points;
 mod processor;
 pub mod providers;
 mod rectangle;
@@ -49,6 +53,7 @@ pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
 pub use components::{Component, components};
 pub use counter::{Counter, Latency};
+pub use environment::{EnvironmentModel, SurfaceEstimate};
 pub use epipolar::EpipolarCheck;
 pub use frame::{DepthImage, ImageError, RgbImage, StereoFrame};
 pub use image_source::ImageSource;
@@ -63,6 +68,8 @@ pub use processor::{
 };
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
-pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
+pub use steps::{
+    EnvironmentStep, FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep,
+};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

@@ -12,9 +12,9 @@ use armarium_values::Observation;
 use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
-    ColorMarkerObjectTracking, FingertipStep, HandObserver, HandStep, ImageError, ImageProcessor,
-    MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy,
-    TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
+    ColorMarkerObjectTracking, EnvironmentModel, EnvironmentStep, FingertipStep, HandObserver, HandStep,
+    ImageError, ImageProcessor, MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics,
+    ResultSink, Seen, SeenBy, TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
 };
 use async_trait::async_trait;
 use serde_json::{Value as Json, json};
@@ -39,6 +39,8 @@ pub(crate) enum Look {
     Marker,
     /// A table and the objects on it, by depth; the provider must give the camera's pose.
     Tabletop,
+    /// Tables, shelves, walls and the floor, by depth, over time; the provider must give the camera's pose.
+    Environment,
 }
 
 impl Look {
@@ -58,6 +60,10 @@ impl Look {
                 TabletopStep::new(TabletopSegmentation::new(calibration.camera)),
                 pair,
             )),
+            Self::Environment => {
+                let model = EnvironmentModel::new(calibration.camera);
+                Box::new(OfStereo::new(EnvironmentStep::new(model, calibration.camera), pair))
+            }
         }
     }
 }

@@ -9,6 +9,8 @@
 //! An observation is addressed to a core segment. One without a place says only what else is observed. People's hands and bodies
 //! move by themselves, and each picture shows another part of a table: of these segments the last observation counts alone. It
 //! is of the nearest known entity of its class, however far that is, and one without a place (no hand is there) is of all.
+//! An observer who follows its entities himself names them: such an observation is of that entity, as it says, and one of less
+//! confidence than counts removes it.
 //! Where a [`Search`] says what was looked for and where it would have been seen, what is known to be there and was not found has moved
 //! to where one was found that nobody knew; or it loses confidence, and is removed in the end. What is carried is not doubted: a hand hides it.
 //! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
@@ -205,8 +207,14 @@ impl Updater {
                     let observation = &observations[matched.observation];
                     let update = match matched.entity {
                         Some(entity) => self.fused(observation, entity, (matched.predicted, evidence))?,
+                        None if observation.entity.is_some()
+                            && observation.confidence < self.settings.gone =>
+                        {
+                            continue;
+                        }
                         None => {
-                            let name = free_name(class, &names);
+                            let own = observation.entity.clone();
+                            let name = own.unwrap_or_else(|| free_name(class, &names));
                             names.push(name.clone());
                             self.created(observation, &name, &classes)?
                         }
@@ -318,9 +326,17 @@ impl Updater {
             });
             return Ok(all.collect());
         }
+        let (named, seen): (Vec<usize>, Vec<usize>) =
+            seen.iter().partition(|at| observations[**at].entity.is_some());
+        let of_name = |at: usize| {
+            let name = observations[at].entity.as_deref();
+            let entity = known.iter().find(|entity| Some(entity.id.entity()) == name).copied();
+            Match { observation: at, entity, predicted: None, moved: false }
+        };
+        let named = named.into_iter().map(of_name);
         let mut predicted = Vec::new();
         let mut costs = Vec::new();
-        for at in seen {
+        for at in &seen {
             let observation = &observations[*at];
             let measured = self.measured(observation)?;
             let last_counts = last_counts(observation);
@@ -347,10 +363,8 @@ impl Updater {
             costs.push(row);
         }
         let assigned = assign(&costs);
-        Ok(seen
-            .iter()
-            .enumerate()
-            .map(|(row, at)| match assigned.get(row).copied().filter(|column| *column < known.len()) {
+        let matched = seen.iter().enumerate().map(|(row, at)| {
+            match assigned.get(row).copied().filter(|column| *column < known.len()) {
                 Some(column) => Match {
                     observation: *at,
                     entity: Some(known[column]),
@@ -358,8 +372,9 @@ impl Updater {
                     moved: false,
                 },
                 None => Match { observation: *at, entity: None, predicted: None, moved: false },
-            })
-            .collect())
+            }
+        });
+        Ok(named.chain(matched).collect())
     }
 
     fn fused(
@@ -370,7 +385,12 @@ impl Updater {
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
+        let gone = observation.entity.is_some() && observation.confidence < self.settings.gone;
         let commit = match (last_counts(observation), measured) {
+            _ if gone => {
+                let referenced_ns = observation.stamp_ns;
+                Commit { id, referenced_ns, instances: Vec::new(), expected_version: None }
+            }
             (true, measured) => {
                 commit_of(observation, id, observation.attributes.clone(), measured, observation.confidence)
             }

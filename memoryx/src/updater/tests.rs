@@ -282,3 +282,23 @@ async fn what_others_have_fused_is_no_new_evidence() {
     );
     assert_eq!(instance.confidence, 0.6);
 }
+
+#[tokio::test(start_paused = true)]
+async fn who_follows_entities_himself_names_them_and_says_when_they_are_gone() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let named = |name: &str, x: f64, confidence: f64| {
+        let place =
+            ObservedPlace::new(&Frame::root(), &Vector3::new(x, 0.0, 1.0), &(Matrix3::identity() * VARIANCE));
+        let seen = Observation::new("EnvironmentModels", "table", 1).at(place);
+        seen.named(name).with_confidence(confidence)
+    };
+    let first = updater.update(&[named("table", 0.0, 0.9), named("table_2", 2.0, 0.9)]).await.unwrap();
+    assert_eq!(names(&first), [("table", 1), ("table_2", 1)]);
+    // Each keeps its name, wherever it is; what nobody knows cannot go.
+    let both = [named("table", 2.0, 0.8), named("table_2", 0.0, 0.0), named("table_3", 0.0, 0.0)];
+    assert_eq!(names(&updater.update(&both).await.unwrap()), [("table", 2), ("table_2", 2)]);
+    let there = memory.latest_now(&first[0].0).unwrap();
+    assert_eq!(there.attribute("position").and_then(Value::as_vector3), Some([2.0, 0.0, 1.0]));
+    assert!(memory.latest_now(&first[1].0).is_err());
+}

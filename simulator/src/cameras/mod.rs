@@ -336,6 +336,7 @@ impl Eyes {
             gesture: view.coach.hand.map(|h| h.gesture),
             since_s: view.coach.hand.map_or(view.without_hand_s, |h| h.shown_s),
             visible,
+            root_from_left: left.scene_from_camera,
         };
         (drawn, truth)
     }

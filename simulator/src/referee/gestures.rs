@@ -90,7 +90,13 @@ mod tests {
         let mut seen = Vec::new();
         for i in 0..100u64 {
             let gesture = (i >= 80).then_some(Gesture::Fist);
-            log.frames.push(FrameTruth { stamp_ns: i, gesture, since_s: 1.0, visible: true });
+            log.frames.push(FrameTruth {
+                stamp_ns: i,
+                gesture,
+                since_s: 1.0,
+                visible: true,
+                root_from_left: nalgebra::Isometry3::identity(),
+            });
             seen.push((i, (i >= 85).then(|| "fist".to_owned())));
         }
         let figures = gestures(&Run::new(&world, &log, &[], &seen)).unwrap();

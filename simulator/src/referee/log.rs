@@ -35,6 +35,19 @@ pub struct Record {
     pub fastest_joint: f64,
 }
 
+/// A surface as the robot's memory knows it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KnownSurface {
+    /// `table`, `floor`, `wall` ...
+    pub class: String,
+    /// Pose of its middle in the root frame; z is its normal.
+    pub root_from_surface: Isometry3<f64>,
+    /// Its lengths along x and y, m.
+    pub size: [f64; 2],
+    /// The probability that it is there.
+    pub probability: f64,
+}
+
 /// The log of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TruthLog {
@@ -52,6 +65,8 @@ pub struct TruthLog {
     pub(super) pressed: Vec<(u64, PressedLoad, Isometry3<f64>)>,
     /// The hands that people led, each millisecond.
     pub(super) led: Vec<(u64, LedHand)>,
+    /// What the robot's memory told of the surfaces around it: when, ns, the surface's name, and `None` when it is no longer known.
+    pub(super) surfaces: Vec<(u64, String, Option<KnownSurface>)>,
     /// The coach's events.
     pub coach: Vec<ActionEvent>,
     /// The truth about every rendered frame.

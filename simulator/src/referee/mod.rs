@@ -2,11 +2,12 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `carrying`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `carrying`, `environment`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod carrying;
 mod coached;
+mod environment;
 mod force;
 mod gestures;
 mod grasp;
@@ -25,7 +26,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::report::Section;
-pub use log::{Record, TruthLog};
+pub use log::{KnownSurface, Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
 pub use probes::judged_figures;
 use run::Run;
@@ -156,6 +157,14 @@ impl Referee {
         let mut notes = self.notes();
         if notes.seen.len() < log::MAX_FRAMES {
             notes.seen.push((stamp_ns, label.map(str::to_owned)));
+        }
+    }
+
+    /// Records what the robot's memory tells of a surface around it at `stamp_ns`: its name, and `None` when it is no longer known.
+    pub fn surface_known(&self, stamp_ns: u64, name: &str, known: Option<KnownSurface>) {
+        let mut notes = self.notes();
+        if notes.log.surfaces.len() < log::MAX_FRAMES {
+            notes.log.surfaces.push((stamp_ns, name.to_owned(), known));
         }
     }
 

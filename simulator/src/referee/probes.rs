@@ -8,7 +8,9 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::run::Run;
-use super::{bodies, carrying, coached, force, gestures, grasp, guiding, imitation, people, wiped};
+use super::{
+    bodies, carrying, coached, environment, force, gestures, grasp, guiding, imitation, people, wiped,
+};
 
 /// A probe.
 pub(super) struct Probe {
@@ -23,7 +25,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 10] = [
+const PROBES: [&Probe; 11] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -34,6 +36,7 @@ const PROBES: [&Probe; 10] = [
     &people::PROBE,
     &guiding::PROBE,
     &carrying::PROBE,
+    &environment::PROBE,
 ];
 
 /// The figures of the probes that the world wants and that find something, by their names.

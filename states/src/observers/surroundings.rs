@@ -9,11 +9,10 @@ use parking_lot::RwLock;
 use tokio::sync::broadcast::error::RecvError;
 
 use crate::equipment::Equipment;
-use crate::places::places;
+use crate::places::{PLACES, places};
 
 /// The core segments that say where something stands.
 pub(super) const AGENTS: &str = "AgentInstances";
-const PLACES: &str = "EnvironmentModels";
 
 /// Passes places in memory on to the robot, and the pose of its root frame on to the frames, now and whenever they change.
 pub(super) async fn observe(equipment: Equipment) {

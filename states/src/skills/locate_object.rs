@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::inputs::{pose_value, reference, seen_pose};
+use crate::inputs::{pose_value, reference, seen_at, seen_pose};
 use crate::motions::failed;
 use crate::prior::object_class;
 use crate::surface::Surface;
@@ -64,7 +64,15 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
     }
     drop(sight);
-    let tilt = table.as_ref().and_then(seen_pose).map(|pose| Surface::of(pose).rotation());
+    // What the model of the environment knows of the table is surer than one look at it.
+    let first = sights.first().and_then(seen_at);
+    let modelled = match first {
+        Some(first) => Surface::modelled_under(equipment.remembered(), &first).await?,
+        None => None,
+    };
+    let table = table.filter(|_| modelled.is_none());
+    let surface = modelled.or_else(|| table.as_ref().and_then(seen_pose).map(Surface::of));
+    let tilt = surface.map(|surface| surface.rotation());
     let seen = median(sights, &tilt.unwrap_or_else(UnitQuaternion::identity));
     let seen: Vec<Observation> = table.into_iter().chain(seen).collect();
     let (seen, search) = equipment.remembered().placed(seen, search);

@@ -11,7 +11,9 @@ mod force_guiding;
 mod imitate_motion;
 mod keep_motion;
 mod locate_object;
+mod look_around;
 mod look_at;
+mod model_environment;
 mod move_joints;
 mod move_platform;
 mod move_tcp;
@@ -47,6 +49,8 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         move_tcp::skill(equipment),
         move_tcp_by::skill(equipment),
         look_at::skill(equipment),
+        look_around::skill(equipment),
+        model_environment::skill(equipment),
         open_hand::skill(equipment),
         close_hand::skill(equipment),
         calibrate_hand_eye::skill(equipment),

@@ -6,19 +6,21 @@
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
 use crate::camera::PinholeCamera;
-use crate::frame::{DepthImage, StereoFrame};
+use crate::frame::StereoFrame;
 use crate::mask::Region;
+use crate::plane::{Plane, upwards};
+use crate::points::{DepthPoint, DepthPoints, usable_depth};
 use crate::providers::{PixelFormat, RawFrame};
 use crate::rectangle::Rectangle;
-
-mod plane;
-
-use plane::Plane;
 
 /// Rounding of a footprint's points in the search of its smallest rectangle, m.
 const CELL: f64 = 0.0002;
 /// Every so many pixels the depth is sampled.
 const STEP: u32 = 2;
+/// Least height of a table above the root frame's floor, m.
+const NO_FLOOR: f64 = 0.3;
+/// Least share of the points that lie on the table.
+const MIN_SHARE: f64 = 0.05;
 /// Lowest height of an object's points above the table, and its greatest height, m.
 const RISES: (f64, f64) = (0.010, 0.50);
 /// Largest distance of an object from the table's border, m.
@@ -73,13 +75,6 @@ pub struct TabletopSegmentation {
     camera: PinholeCamera,
 }
 
-/// A point of the depth image: its position in the reduced image, and in the root frame, m.
-struct DepthPoint {
-    place: usize,
-    depth: f32,
-    at: Point3<f64>,
-}
-
 impl TabletopSegmentation {
     /// A segmentation for depth images of this camera.
     pub fn new(camera: PinholeCamera) -> Self {
@@ -119,15 +114,16 @@ impl TabletopSegmentation {
     /// The table in a frame with its objects; `None` without a depth image of the camera's size, or without a level
     /// plane above floor height.
     pub fn segment(&self, frame: &StereoFrame) -> Option<Tabletop> {
-        let depth = frame.depth.as_ref()?;
-        let fits = (depth.width, depth.height) == (self.camera.width, self.camera.height);
-        if !fits || depth.data.len() != (depth.width as usize) * (depth.height as usize) {
-            return None;
-        }
-        let seen = self.points(depth, &frame.root_from_left);
-        let plane = Plane::level(&seen.iter().map(|s| s.at).collect::<Vec<_>>())?;
-        let on_it: Vec<Point2<f64>> =
-            seen.iter().filter(|s| plane.above(&s.at).abs() < RISES.0).map(|s| plane.flat(&s.at)).collect();
+        let depth = usable_depth(frame, &self.camera)?;
+        let seen = DepthPoints::of(depth, &self.camera, &frame.root_from_left, (STEP, f64::MAX));
+        let wanted = |at: &Point3<f64>, normal: &Vector3<f64>| upwards(normal).filter(|_| at.z >= NO_FLOOR);
+        let plane = Plane::largest(&seen, &|_| true, MIN_SHARE, &wanted)?;
+        let on_it: Vec<Point2<f64>> = seen
+            .points
+            .iter()
+            .filter(|s| plane.above(&s.at).abs() < RISES.0)
+            .map(|s| plane.flat(&s.at))
+            .collect();
         let border = Rectangle::around(&on_it, 0.0, CELL)?;
         let table = TableEstimate {
             root_from_table: plane.pose(&border, 0.0),
@@ -135,7 +131,7 @@ impl TabletopSegmentation {
             deviation: plane.deviation,
         };
         let mut objects: Vec<(usize, TableObject)> = self
-            .rising_objects(&seen, &plane, &border, depth)
+            .rising_objects(&seen, &plane, &border)
             .into_iter()
             .filter_map(|thing| Some((thing.len(), self.object(&thing, &plane, frame)?)))
             .collect();
@@ -143,31 +139,17 @@ impl TabletopSegmentation {
         Some(Tabletop { table, objects: objects.into_iter().map(|(_, object)| object).collect() })
     }
 
-    fn points(&self, depth: &DepthImage, root_from_left: &Isometry3<f64>) -> Vec<DepthPoint> {
-        let (w, h) = (depth.width / STEP, depth.height / STEP);
-        let places = (0..h).flat_map(|y| (0..w).map(move |x| (x, y)));
-        let seen = |(x, y): (u32, u32)| {
-            let (u, v) = (x * STEP, y * STEP);
-            let z = depth.data[(v * depth.width + u) as usize];
-            let ray = self.camera.ray(&Point2::new(f64::from(u), f64::from(v)));
-            let at = root_from_left * Point3::from(ray * f64::from(z));
-            (z > 0.0 && z.is_finite()).then_some(DepthPoint { place: (y * w + x) as usize, depth: z, at })
-        };
-        places.filter_map(seen).collect()
-    }
-
     /// The objects that rise from the table: neighbours without a step in depth belong together.
     fn rising_objects<'s>(
         &self,
-        seen: &'s [DepthPoint],
+        seen: &'s DepthPoints,
         plane: &Plane,
         border: &Rectangle,
-        depth: &DepthImage,
     ) -> Vec<Vec<&'s DepthPoint>> {
-        let (w, h) = ((depth.width / STEP) as usize, (depth.height / STEP) as usize);
+        let [w, h] = seen.size;
         let mut rising: Vec<Option<&DepthPoint>> = vec![None; w * h];
         let rises = |s: &&DepthPoint| (RISES.0..RISES.1).contains(&plane.above(&s.at));
-        for s in seen.iter().filter(rises).filter(|s| border.holds(&plane.flat(&s.at), OVERHANG)) {
+        for s in seen.points.iter().filter(rises).filter(|s| border.holds(&plane.flat(&s.at), OVERHANG)) {
             rising[s.place] = Some(s);
         }
         let mut rising_objects = Vec::new();

@@ -1,0 +1,109 @@
+use nalgebra::{Translation3, UnitQuaternion};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::*;
+use crate::scenes::{CALIBRATION, Thing, frame_with_depth, table};
+
+fn block(x: f64, y: f64, top: f64, size: [f64; 3]) -> Thing {
+    let root_from_block = Isometry3::translation(x, y, top - size[2] / 2.0);
+    Thing::Block { root_from_block, size: Vector3::from(size), color: [90, 90, 95] }
+}
+
+/// Frames of a scene, 15 a second, with the noise of a depth camera.
+fn frames(things: &[Thing], from: u64, count: u64) -> Vec<StereoFrame> {
+    let still = frame_with_depth(things, 0, 1);
+    let noisy = |n: u64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(n);
+        let mut frame = StereoFrame { stamp_ns: n * 66_000_000, ..still.clone() };
+        for z in frame.depth.as_mut().unwrap().data.iter_mut().filter(|z| **z > 0.0) {
+            *z += (0.0014 * f64::from(*z).powi(2) * rng.sample::<f64, _>(StandardNormal)) as f32;
+        }
+        frame
+    };
+    (from..from + count).map(noisy).collect()
+}
+
+fn seen(model: &mut EnvironmentModel, frames: &[StereoFrame]) -> Vec<SurfaceEstimate> {
+    frames.iter().for_each(|frame| assert!(model.update(frame)));
+    model.surfaces()
+}
+
+fn one<'s>(surfaces: &'s [SurfaceEstimate], class: &str) -> &'s SurfaceEstimate {
+    let of: Vec<&SurfaceEstimate> = surfaces.iter().filter(|s| s.class == class).collect();
+    assert_eq!(of.len(), 1, "{surfaces:?}");
+    of[0]
+}
+
+#[test]
+fn a_table_is_known_once_with_its_height_and_tilt() {
+    let things = [table([150, 115, 80]), block(0.2, 0.5, 1.0, [0.1, 0.1, 0.1])];
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    let surfaces = seen(&mut model, &frames(&things, 0, 20));
+    let table = one(&surfaces, "table");
+    let up = table.root_from_surface.rotation * Vector3::z();
+    assert!(up.angle(&Vector3::z()) < 0.003, "{up}");
+    assert!((table.root_from_surface.translation.z - 0.90).abs() < 0.001);
+    assert!((table.size[1] - 0.7).abs() < 0.05, "{:?}", table.size);
+    assert!(table.probability > 0.99 && table.name == "table");
+    let sigma = table.covariance[(0, 0)].sqrt();
+    assert!((1e-4..2e-3).contains(&sigma), "{sigma}");
+    assert!(!model.update(&StereoFrame { depth: None, ..frames(&[], 30, 1).swap_remove(0) }));
+}
+
+#[test]
+fn what_is_taken_away_fades_within_three_seconds_of_being_looked_at() {
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    let floor = || block(0.0, 0.0, 0.0, [6.0, 6.0, 0.1]);
+    let before = seen(&mut model, &frames(&[table([150, 115, 80]), floor()], 0, 20));
+    assert_eq!(one(&before, "table").name, "table");
+    // It stands 0.4 m lower now.
+    let lower = Thing::Block {
+        root_from_block: Isometry3::translation(0.25, 0.6, 0.48),
+        size: Vector3::new(1.0, 0.7, 0.04),
+        color: [150, 115, 80],
+    };
+    let after = seen(&mut model, &frames(&[lower, floor()], 20, 45));
+    let gone = after.iter().find(|s| s.name == "table");
+    assert!(gone.is_none_or(|s| s.probability == 0.0), "{gone:?}");
+    let there: Vec<_> = after.iter().filter(|s| s.class == "table" && s.probability > 0.5).collect();
+    assert_eq!(there.len(), 1);
+    assert!((there[0].root_from_surface.translation.z - 0.5).abs() < 0.002);
+    // A hand that is held before it hides it, and does not speak against it.
+    let hand = Thing::Ball { center: Point3::new(0.1, 0.35, 1.3), radius: 0.2, color: [200, 150, 130] };
+    let lower = Thing::Block {
+        root_from_block: Isometry3::translation(0.25, 0.6, 0.48),
+        size: Vector3::new(1.0, 0.7, 0.04),
+        color: [150, 115, 80],
+    };
+    let hidden = seen(&mut model, &frames(&[lower, floor(), hand], 65, 45));
+    assert!(hidden.iter().any(|s| s.name == there[0].name && s.probability > 0.9));
+}
+
+#[test]
+fn what_is_remembered_is_found_again_under_its_name() {
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    let mut known = seen(&mut model, &frames(&[table([150, 115, 80])], 0, 20));
+    // The camera's mounting was known less well the day before.
+    for surface in &mut known {
+        surface.root_from_surface = Translation3::new(0.0, 0.0, 0.01) * surface.root_from_surface;
+        surface.name = "the_table".into();
+    }
+    let nowhere = SurfaceEstimate { covariance: Matrix3::repeat(f64::NAN), ..known[0].clone() };
+    let floating = SurfaceEstimate {
+        name: "table_9".into(),
+        root_from_surface: Isometry3::from_parts(
+            Translation3::new(0.25, 0.5, 1.2),
+            UnitQuaternion::identity(),
+        ),
+        ..known[0].clone()
+    };
+    known.extend([nowhere, floating]);
+    let mut again = EnvironmentModel::new(CALIBRATION.camera).remembering(known);
+    let surfaces = seen(&mut again, &frames(&[table([150, 115, 80])], 1000, 20));
+    let there: Vec<_> = surfaces.iter().filter(|s| s.probability > 0.5).collect();
+    assert_eq!(there.len(), 1, "{there:?}");
+    assert_eq!(there[0].name, "the_table");
+    assert!((there[0].root_from_surface.translation.z - 0.90).abs() < 0.003);
+}
