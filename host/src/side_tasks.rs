@@ -47,8 +47,9 @@ pub(crate) async fn watch_perception(
     }
 }
 
-/// A surface as memory knows it; `None` of what is gone or is no surface.
+/// A surface of the model of the surroundings, as memory knows it; `None` of what is gone, is no surface, or was seen in a single look.
 fn surface(snapshot: &Snapshot) -> Option<KnownSurface> {
+    snapshot.attribute("plane_covariance")?;
     let probability = snapshot.instance()?.confidence;
     let Some(Value::Pose(pose)) = snapshot.attribute("pose") else { return None };
     let [x, y, _] = snapshot.attribute("size")?.as_vector3()?;

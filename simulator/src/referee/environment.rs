@@ -95,10 +95,9 @@ struct MovedFigures {
 }
 
 fn measure(run: &Run<'_>) -> Option<Value> {
+    // Without a model of the surroundings there is nothing to judge.
+    run.log.surfaces.iter().find(|(_, _, known)| known.is_some())?;
     let known = known_at(run, u64::MAX);
-    if run.log.surfaces.is_empty() {
-        return None;
-    }
     let faces = faces(run, |begin_and_end| begin_and_end.1);
     let (mut of_face, mut invented) = (vec![Vec::new(); faces.len()], 0);
     for surface in &known {
