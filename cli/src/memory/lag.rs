@@ -37,7 +37,7 @@ pub(super) async fn lag(reached: &Reached, args: &MemoryArgs, out: &mut dyn Writ
         writeln!(out, "`{}` follows nobody, or nothing has come yet", args.agent)?;
     } else if !args.json {
         let titles = ["entities", "behind", "versions", "since, s", "missed", "clock ahead, s"];
-        writeln!(out, "{:<24} {}", "follows", titles.map(|title| format!("{title:>14}")).concat())?;
+        writeln!(out, "{:<24} {}", "follows", titles.map(|title| format!("{title:>15}")).concat())?;
     }
     let mut up_to_date = true;
     for (agent, followed) in agents {
@@ -47,7 +47,7 @@ pub(super) async fn lag(reached: &Reached, args: &MemoryArgs, out: &mut dyn Writ
                 up_to_date = false;
                 match args.json {
                     true => writeln!(out, "{}", json!({"follows": agent, "error": error.to_string()}))?,
-                    false => writeln!(out, "{agent:<24} {error}")?,
+                    false => writeln!(out, "{agent:<24} {error}; --connect has to reach it, too")?,
                 }
                 continue;
             }
@@ -77,7 +77,7 @@ pub(super) async fn lag(reached: &Reached, args: &MemoryArgs, out: &mut dyn Writ
             )?,
             false => writeln!(
                 out,
-                "{agent:<24} {entities:>14}{behind:>14}{versions:>14}{since_s:>14.3}{missed:>14}{:>14}",
+                "{agent:<24} {entities:>15}{behind:>15}{versions:>15}{since_s:>15.3}{missed:>15}{:>15}",
                 clock_s.map_or_else(|| "?".to_owned(), |clock| format!("{clock:.3}"))
             )?,
         }

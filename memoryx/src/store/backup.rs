@@ -17,12 +17,12 @@ impl LongTermMemory {
     /// Copies everything into a new file beside this one, and returns its path. Commits go on meanwhile, and are not in the copy.
     ///
     /// # Errors
-    /// [`StoreError::Name`] when `name` is more than the name of a file; [`StoreError::Failed`] when there is such a file, this memory has
-    /// no file, or the disk fails.
+    /// [`StoreError::Failed`] when `name` is more than the name of a file, there is such a file, this memory has no file, or the disk fails.
     pub fn back_up(&self, name: &str) -> Result<PathBuf, StoreError> {
         let only_a_name = Path::new(name).file_name().is_some_and(|file| file == name);
         if !only_a_name {
-            return Err(StoreError::Name { name: name.to_owned() });
+            return Err(self
+                .failed(&format!("the copy lies beside it, so `{name}` must be the name of a file alone")));
         }
         let own = self.path.as_ref().ok_or_else(|| self.failed("it has no file"))?;
         let copy = own.with_file_name(name);
