@@ -225,21 +225,15 @@ pub(super) fn mesh(
 
 /// Draws a triangle within a narrow rectangle, pixel by pixel: its corners as column, row and 1/depth, which is linear between
 /// them. Its colour is looked for where it is to be seen.
-fn dots(
-    canvas: &mut Canvas,
-    bounds: Bounds,
-    [a, b, c]: [[f64; 3]; 3],
-    color: impl Fn() -> Option<Color>,
-) {
+fn dots(canvas: &mut Canvas, bounds: Bounds, [a, b, c]: [[f64; 3]; 3], color: impl Fn() -> Option<Color>) {
     let (ab, ac) = ([b[0] - a[0], b[1] - a[1], b[2] - a[2]], [c[0] - a[0], c[1] - a[1], c[2] - a[2]]);
     let per_area = 1.0 / (ab[0] * ac[1] - ab[1] * ac[0]);
     let mut found = None;
-    for v in bounds.each_row() {
-        for u in bounds.each_column() {
-            let from_a = [u as f64 - a[0], v as f64 - a[1]];
+    for (v, below_a) in bounds.each_row(a[1]) {
+        for (u, beside_a) in bounds.each_column(a[0]) {
             // The shares of b and c; neither is a number where the triangle is a line.
-            let of_b = (from_a[0] * ac[1] - from_a[1] * ac[0]) * per_area;
-            let of_c = (ab[0] * from_a[1] - ab[1] * from_a[0]) * per_area;
+            let of_b = (beside_a * ac[1] - below_a * ac[0]) * per_area;
+            let of_c = (ab[0] * below_a - ab[1] * beside_a) * per_area;
             if of_b >= 0.0 && of_c >= 0.0 && of_b + of_c <= 1.0 {
                 let near = (a[2] + of_b * ab[2] + of_c * ac[2]) as f32;
                 if canvas.is_nearer(v, u, near) {
@@ -274,7 +268,9 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
                 let (local, wall) = (local.run(row, first), &wall);
                 move |k, near| {
                     let [x, y] = local.points(across, k, near);
-                    wall.lanes(MOTTLING.lanes(x * 60.0 + 8192.0, y * 60.0 + 8192.0) * (0.5 * ROOM_MOTTLING) + base)
+                    wall.lanes(
+                        MOTTLING.lanes(x * 60.0 + 8192.0, y * 60.0 + 8192.0) * (0.5 * ROOM_MOTTLING) + base,
+                    )
                 }
             });
         }

@@ -4,6 +4,8 @@
 //! is the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer holds 1/depth, which
 //! is linear in u on a plane; 0 means that nothing is visible.
 
+use std::ops::Range;
+
 use armarium_visionx::{DepthImage, PinholeCamera, RgbImage};
 use nalgebra::{Point3, Vector3};
 use wide::f32x8;
@@ -45,11 +47,13 @@ pub(super) fn each<T>(f: impl FnMut(usize) -> T) -> [T; CHUNK] {
 /// The whole number above a value from 0 on; without a call, which `ceil` is where the machine has no instruction for it.
 #[inline(always)]
 fn up(value: f64) -> usize {
-    let below = value as usize;
-    below.saturating_add(usize::from((below as f64) < value))
+    // Pictures have fewer pixels than 2^32, and machines have no instruction for conversions of 64 bits without a sign.
+    let below = value as u32;
+    below.saturating_add(u32::from(f64::from(below) < value)) as usize
 }
 
 /// Colours and inverse depths of one picture.
+#[derive(Clone)]
 pub(super) struct Canvas {
     camera: PinholeCamera,
     width: usize,
@@ -102,12 +106,6 @@ pub(super) struct Bounds {
 type Extent = [f64; 2];
 
 impl Form {
-    /// The value at a column.
-    #[inline(always)]
-    pub(super) fn at(self, u: usize) -> f64 {
-        self.slope * u as f64 + self.at_zero
-    }
-
     /// The same form counted from column `u`.
     pub(super) fn line(self, u: usize) -> Line {
         Line { start: (self.slope * u as f64 + self.at_zero) as f32, slope: self.slope as f32 }
@@ -169,7 +167,7 @@ impl Span {
     pub(super) fn pixels(self) -> Option<(usize, usize)> {
         let low = up(self.low.max(0.0));
         // A number below zero is no pixel, and the cast of one over zero goes down.
-        (self.high >= low as f64).then_some((low, self.high as usize))
+        (self.high >= f64::from(low as u32)).then_some((low, self.high as u32 as usize))
     }
 }
 
@@ -185,14 +183,14 @@ impl Bounds {
         self.u[1] - self.u[0] < CHUNK / 2
     }
 
-    /// Its columns, one by one.
-    pub(super) fn each_column(self) -> std::ops::RangeInclusive<usize> {
-        self.u[0]..=self.u[1]
+    /// Its columns, one by one, each with its distance from `u`.
+    pub(super) fn each_column(self, u: f64) -> impl Iterator<Item = (usize, f64)> {
+        counted(self.u, u)
     }
 
-    /// Its rows, one by one.
-    pub(super) fn each_row(self) -> std::ops::RangeInclusive<usize> {
-        self.v[0]..=self.v[1]
+    /// Its rows, one by one, each with its distance from `v`.
+    pub(super) fn each_row(self, v: f64) -> impl Iterator<Item = (usize, f64)> {
+        counted(self.v, v)
     }
 
     /// Its columns.
@@ -206,7 +204,13 @@ impl Canvas {
     pub(super) fn new(camera: PinholeCamera, color: [u8; 3]) -> Self {
         let (width, height) = (camera.width as usize, camera.height as usize);
         let pixels = width * height;
-        Self { camera, width, height, color: vec![color; pixels + CHUNK], nearness: vec![0.0; pixels + CHUNK] }
+        Self {
+            camera,
+            width,
+            height,
+            color: vec![color; pixels + CHUNK],
+            nearness: vec![0.0; pixels + CHUNK],
+        }
     }
 
     /// The finished pictures.
@@ -238,6 +242,28 @@ impl Canvas {
         let (first, last) = (self.row(0), bounds.v);
         let step = first.inverse_focal;
         (last[0]..=last[1]).map(move |v| ScanLine { v, y: first.y + v as f64 * step, ..first })
+    }
+
+    /// All rows.
+    pub(super) fn all_rows(&self) -> Range<usize> {
+        0..self.height
+    }
+
+    /// The rows in which the convex hull of some points (camera frame) can appear.
+    pub(super) fn rows_of(&self, points: &[Point3<f64>]) -> Range<usize> {
+        self.hull(points).map_or(0..0, |bounds| bounds.v[0]..bounds.v[1] + 1)
+    }
+
+    /// Takes over some rows of another canvas of the same size.
+    pub(super) fn copy(&mut self, rows: &Range<usize>, from: &Self) {
+        let pixels = rows.start * self.width..rows.end * self.width;
+        self.color[pixels.clone()].copy_from_slice(&from.color[pixels.clone()]);
+        self.nearness[pixels.clone()].copy_from_slice(&from.nearness[pixels]);
+    }
+
+    /// The bytes of some rows' colours.
+    pub(super) fn bytes(&mut self, rows: &Range<usize>) -> &mut [u8] {
+        self.color[rows.start * self.width..rows.end * self.width].as_flattened_mut()
     }
 
     /// The whole canvas.
@@ -288,7 +314,7 @@ impl Canvas {
             let [a, b, c] = corners.map(|corner| corner[axis]);
             let low = up((a.min(b).min(c) - ROUNDING).max(0.0));
             let high = (a.max(b).max(c) + ROUNDING).min(size as f64 - 1.0);
-            (high >= low as f64).then_some([low, high as usize])
+            (high >= f64::from(low as u32)).then_some([low, high as u32 as usize])
         };
         Some(Bounds { u: range(0, self.width)?, v: range(1, self.height)? })
     }
@@ -368,6 +394,11 @@ impl Canvas {
             *words = [a | b << 24, b >> 8 | c << 16, c >> 16 | d << 8].map(u32::to_le_bytes);
         }
     }
+}
+
+fn counted([first, last]: [usize; 2], from: f64) -> impl Iterator<Item = (usize, f64)> {
+    let start = f64::from(first as u32) - from;
+    (first..last + 1).zip(0u32..).map(move |(at, n)| (at, start + f64::from(n)))
 }
 
 /// The range of directions in which a circle appears that lies in the plane of one image axis and the optical axis.

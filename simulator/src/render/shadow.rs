@@ -154,16 +154,7 @@ fn outline(
         }
         VisibleForm::Box { .. } | VisibleForm::Mesh { .. } => {
             // A mesh casts the shadow of the box around it.
-            let (middle, half) = match geometry {
-                VisibleForm::Box { half } => (Point3::origin(), *half),
-                VisibleForm::Mesh { mesh } => mesh.surrounding_box(),
-                _ => return None,
-            };
-            let corners: [_; 8] = std::array::from_fn(|i| {
-                let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
-                let corner = Vector3::new(half.x * sign(0), half.y * sign(1), half.z * sign(2));
-                table_from_shape * (middle + corner)
-            });
+            let corners = geometry.corners().map(|corner| table_from_shape * corner);
             let heights = corners.iter().map(|c| c.z - top);
             let (low, high) =
                 heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::faces::Face;
 use super::raster::{Bounds, Canvas, Lanes, ScanLine, Span};
+use super::scene::VisibleForm;
 use super::shading::{Light, Shades, brightness};
 
 /// A ray does not meet a cylinder's side if its direction across the axis is shorter than this (squared).
@@ -148,12 +149,8 @@ impl Axial {
 
     /// For a body with one end outside the picture: the bounds of the box around it.
     fn partial(&self, canvas: &Canvas) -> Option<Bounds> {
-        let (r, h) = (self.radius, self.half_length + self.radius);
-        let corners: [_; 8] = std::array::from_fn(|i| {
-            let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
-            self.camera_from_shape * nalgebra::Point3::new(r * sign(0), r * sign(1), h * sign(2))
-        });
-        canvas.hull(&corners)
+        let around = VisibleForm::Capsule { radius: self.radius, half_length: self.half_length };
+        canvas.hull(&around.corners().map(|corner| self.camera_from_shape * corner))
     }
 }
 

@@ -173,7 +173,8 @@ impl Relief {
             height = self.height(local.at(0, k, t), local.at(1, k, t));
             t = local.depth_of_height(k, height + self.top);
         }
-        let inside = local.at(0, k, t).abs().simd_le(self.half[0]) & local.at(1, k, t).abs().simd_le(self.half[1]);
+        let inside =
+            local.at(0, k, t).abs().simd_le(self.half[0]) & local.at(1, k, t).abs().simd_le(self.half[1]);
         (t, inside & height)
     }
 
