@@ -116,7 +116,7 @@ impl Calibration {
             return Ok(Self::default());
         }
         let source = Source::read(&path).map_err(|finding| vec![*finding]);
-        source.and_then(Self::read).map_err(|findings| (path, FileError::Calibration { findings }))
+        source.and_then(Self::read).map_err(|findings| (path, FileError::Calibration(findings)))
     }
 
     fn read(source: Arc<Source>) -> Result<Self, Vec<Finding>> {

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 
 use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{DepthImage, RgbImage, StereoFrame};
+use crate::mask::Region;
 use crate::providers::{CameraModel, NotStereo};
 
 /// Marks a pixel without a source.
@@ -190,7 +191,7 @@ fn table(
         Some(Source { at, part, depth: (1.0 / ray.z) as f32 })
     };
     let nothing = Source { at: NOTHING, part: [0; 2], depth: 0.0 };
-    let pixels = (0..ideal.height).flat_map(|y| (0..ideal.width).map(move |x| (x, y)));
+    let pixels = Region::whole(ideal.width, ideal.height).pixels();
     pixels.map(|(x, y)| source(x, y).unwrap_or(nothing)).collect()
 }
 
