@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use armarium_motion::StraightLine;
 use armarium_robot::{
     DifferentialIk, Fault, IkConfig, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model, Robot,
     Sensed, Twist, newest,
@@ -17,6 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
 use crate::grasp::held_in_tcp;
+use crate::motions::failed;
 use crate::places::places_at;
 
 /// Gain of the TCP's position and orientation error, 1/s.
@@ -287,6 +289,24 @@ impl LeasedArm {
         let rotation = (target.rotation * tcp.rotation.inverse()).scaled_axis();
         self.twist(sample, linear + TRACKING_GAIN * position, angular + TRACKING_GAIN * rotation)?;
         Ok(position.norm())
+    }
+
+    /// Moves the TCP on a straight line to a pose (root frame) at `speed` m/s, until it has rested there; `check` takes the distance from the
+    /// line after each step, m.
+    pub(crate) async fn go(
+        &mut self,
+        senses: &mut Senses,
+        goal: Isometry3<f64>,
+        speed: f64,
+        check: impl Fn(f64) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let mut line = StraightLine::new(self.tcp(&senses.newest()), goal, speed).map_err(failed)?;
+        while !line.rested(0.3) {
+            let (sample, dt) = senses.next().await?;
+            let point = line.step(dt).map_err(failed)?;
+            check(self.track(&sample, &point.pose, point.linear, point.angular)?)?;
+        }
+        Ok(())
     }
 
     /// Moves the TCP with a twist in the root frame: m/s, rad/s. Returns the twist that its joints can follow.

@@ -1,6 +1,5 @@
 //! Finds, reads and writes motions in working memory. A running motion is in `running_motion/`.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, Snapshot};
@@ -74,20 +73,20 @@ pub(crate) async fn keep(
         Kept::Motion(motion) => return store(memory, id, motion, stamp_ns).await,
         Kept::Movement(movement) => movement,
     };
-    let json = serde_json::to_value(movement).map_err(|e| unwritable(id, &e))?;
-    let attributes = BTreeMap::from([
-        ("name".to_owned(), Value::from(movement.name())),
-        ("kind".to_owned(), Value::from("discrete DMP")),
-        ("duration".to_owned(), Value::Float(movement.duration_s())),
-        ("learned_from".to_owned(), Value::from(movement.learned_from())),
-        ("movement".to_owned(), Value::from_json(&json)),
-    ]);
+    let attributes = [
+        ("name", Value::from(movement.name())),
+        ("kind", Value::from("discrete DMP")),
+        ("duration", Value::Float(movement.duration_s())),
+        ("learned_from", Value::from(movement.learned_from())),
+        ("movement", written(id, serde_json::to_value(movement))?),
+    ];
     memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
     Ok(())
 }
 
-fn unwritable(id: &EntityId, error: &serde_json::Error) -> Failure {
-    Failure::new(format!("the motion `{id}` cannot be written to memory: {error}"))
+fn written(id: &EntityId, json: serde_json::Result<serde_json::Value>) -> Result<Value, Failure> {
+    let unwritable = |error| Failure::new(format!("the motion `{id}` cannot be written to memory: {error}"));
+    json.map(|json| Value::from_json(&json)).map_err(unwritable)
 }
 
 /// Writes a motion as the newest version of its entity.
@@ -108,14 +107,13 @@ pub(crate) fn commit(
     stamp_ns: u64,
     expected_version: Option<u64>,
 ) -> Result<Commit, Failure> {
-    let json = serde_json::to_value(motion).map_err(|e| unwritable(id, &e))?;
-    let attributes = BTreeMap::from([
-        ("name".to_owned(), Value::from(motion.name())),
-        ("kind".to_owned(), Value::from("periodic DMP")),
-        ("frequency".to_owned(), Value::Float(motion.frequency_hz())),
-        ("learned_from".to_owned(), Value::from(motion.learned_from())),
-        ("motion".to_owned(), Value::from_json(&json)),
-    ]);
+    let attributes = [
+        ("name", Value::from(motion.name())),
+        ("kind", Value::from("periodic DMP")),
+        ("frequency", Value::Float(motion.frequency_hz())),
+        ("learned_from", Value::from(motion.learned_from())),
+        ("motion", written(id, serde_json::to_value(motion))?),
+    ];
     let commit = Commit::new(id.clone(), stamp_ns, attributes);
     Ok(Commit { expected_version, ..commit })
 }
