@@ -126,8 +126,7 @@ fn bones(image: &mut RgbImage, hand: &HandLandmarks) {
 
 /// Darkens all pixels outside of a segmented hand.
 pub fn silhouette(image: &mut RgbImage, hand: &SkinSegmentation) {
-    let (w, h) = (image.width(), image.height());
-    for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+    for (x, y) in Region::whole(image.width(), image.height()).pixels() {
         let (u, v) = ((f64::from(x) / hand.scale) as i64, (f64::from(y) / hand.scale) as i64);
         if !hand.mask.contains(u, v) {
             let dark = image.pixel(x, y).map(|c| c / 2);
@@ -160,7 +159,7 @@ mod tests {
     use super::*;
 
     fn black(width: u32, height: u32) -> RgbImage {
-        RgbImage::from_rgb(width, height, vec![0; (width * height * 3) as usize]).unwrap()
+        RgbImage::painted(width, height, |_, _| [0; 3])
     }
 
     #[test]

@@ -199,11 +199,9 @@ mod tests {
 
     #[test]
     fn a_region_is_a_part_of_the_whole() {
-        let mut image = RgbImage::from_rgb(8, 6, vec![0; 8 * 6 * 3]).unwrap();
-        for (x, y) in [(2, 1), (3, 1), (7, 5)] {
-            let i = (y * 8 + x) * 3;
-            image.data_mut()[i..i + 3].copy_from_slice(&[220, 30, 200]);
-        }
+        let colored = [(2, 1), (3, 1), (7, 5)];
+        let color = |x, y| if colored.contains(&(x, y)) { [220, 30, 200] } else { [0; 3] };
+        let image = RgbImage::painted(8, 6, color);
         let model = ColorModel::from_rgb([220, 30, 200]);
         assert_eq!(model.segment(&image).count(), 3);
         let part = model.segment_region(&image, Region { x: 3, y: 0, width: 100, height: 3 });

@@ -14,7 +14,7 @@ use crate::camera::StereoCalibration;
 use crate::color::ColorModel;
 use crate::components::{Component, components};
 use crate::frame::{RgbImage, StereoFrame};
-use crate::mask::{Mask, Region};
+use crate::mask::Mask;
 use crate::minimize::simplex;
 use crate::outline::{ConvexOutline, RowSums, border_points, box_outline};
 
@@ -43,8 +43,6 @@ pub struct ObjectEstimate {
     pub residual_px: f64,
     /// The fitted silhouette in the left image, px.
     pub outline_left: Vec<Point2<f64>>,
-    /// The fitted silhouette in the right image, px.
-    pub outline_right: Vec<Point2<f64>>,
     /// The frame's stamp, ns.
     pub stamp_ns: u64,
 }
@@ -109,40 +107,29 @@ impl ObjectLocalizer {
         self
     }
 
-    /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size.
+    /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size, or the images do not have the
+    /// calibration's size.
     pub fn localize(&self, frame: &StereoFrame) -> Option<ObjectEstimate> {
-        self.localize_all(frame).into_iter().next()
-    }
-
-    /// All objects in the frame that fit, most visible first. Empty when the images do not have the calibration's
-    /// size.
-    pub fn localize_all(&self, frame: &StereoFrame) -> Vec<ObjectEstimate> {
         let size = self.model.size;
         if !self.calibration.fits(frame) || size.min() <= 1e-3 || size.max() >= 2.0 || !size.sum().is_finite()
         {
-            return Vec::new();
+            return None;
         }
         let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
         let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let surface_from_left = self.surface.inverse() * frame.root_from_left;
-        let mut fits: Vec<Fit> = Vec::new();
+        let mut best: Option<Fit> = None;
         for l in left.iter().take(4) {
             for r in right.iter().take(4) {
                 let Some(start) = self.start(l, r, &surface_from_left) else { continue };
                 let eyes =
                     [Self::eye(l, &left, &frame.left, start.1), Self::eye(r, &right, &frame.right, start.1)];
-                fits.extend(self.fit(&eyes, &start.0, &surface_from_left).filter(Fit::convinces));
+                let fit = self.fit(&eyes, &start.0, &surface_from_left).filter(Fit::convinces);
+                let better = |fit: &Fit| best.as_ref().is_none_or(|best| fit.quality() > best.quality());
+                best = fit.filter(better).or(best);
             }
         }
-        fits.sort_by(|a, b| b.quality().total_cmp(&a.quality()));
-        let mut distinct: Vec<Fit> = Vec::new();
-        for fit in fits {
-            let near = |f: &Fit| (f.pose.xyz() - fit.pose.xyz()).norm() < 0.5 * size.max();
-            if !distinct.iter().any(near) {
-                distinct.push(fit);
-            }
-        }
-        distinct.into_iter().map(|fit| fit.estimate(&self.surface, frame.stamp_ns)).collect()
+        best.map(|fit| fit.estimate(&self.surface, frame.stamp_ns))
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -321,7 +308,6 @@ impl Fit {
             visible: self.visible,
             residual_px: self.residual_px,
             outline_left: self.outlines[0].corners().to_vec(),
-            outline_right: self.outlines[1].corners().to_vec(),
             stamp_ns,
         }
     }
@@ -364,13 +350,11 @@ fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
     let region = object.region();
     let mut histograms = vec![[0u32; 256]; 3];
     let mut total = 0u32;
-    for_pixels(region, |x, y| {
-        if !object.contains(i64::from(x), i64::from(y)) {
-            let p = image.pixel(x, y);
-            (0..3).for_each(|i| histograms[i][usize::from(p[i])] += 1);
-            total += 1;
-        }
-    });
+    for ((x, y), _) in region.pixels().zip(object.data()).filter(|(_, bit)| **bit == 0) {
+        let p = image.pixel(x, y);
+        (0..3).for_each(|i| histograms[i][usize::from(p[i])] += 1);
+        total += 1;
+    }
     let median = |h: &[u32; 256]| {
         let mut sum = 0;
         h.iter().position(|n| {
@@ -384,14 +368,6 @@ fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
         *m &= 1 - o;
     }
     mask
-}
-
-fn for_pixels(region: Region, mut each: impl FnMut(u32, u32)) {
-    for y in region.y..region.y + region.height {
-        for x in region.x..region.x + region.width {
-            each(x, y);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -73,8 +73,7 @@ fn a_hand_is_followed() {
         let again = detector.find(&image).expect("there is still a hand");
         assert!((again.palm - hand.palm).norm() < 0.1 * hand.palm_radius && again.gesture == hand.gesture);
     }
-    let empty = RgbImage::from_rgb(480, 640, vec![90; 480 * 640 * 3]).expect("it has the size");
-    assert!(detector.find(&empty).is_none());
+    assert!(detector.find(&RgbImage::painted(480, 640, |_, _| [90; 3])).is_none());
     assert!(detector.find(&image).is_some());
 }
 
@@ -128,23 +127,19 @@ fn real_hands_are_seen() {
 
 /// The image with its colours scaled by these factors, as under other lamps.
 fn lit(image: &RgbImage, factors: [f64; 3]) -> RgbImage {
-    let color = |(i, v): (usize, &u8)| (f64::from(*v) * factors[i % 3]).min(255.0) as u8;
-    let data = image.data().iter().enumerate().map(color).collect();
-    RgbImage::from_rgb(image.width(), image.height(), data).expect("it has the size")
+    let part = |v: u8, factor: f64| (f64::from(v) * factor).min(255.0) as u8;
+    let color = |[r, g, b]: [u8; 3]| [part(r, factors[0]), part(g, factors[1]), part(b, factors[2])];
+    RgbImage::painted(image.width(), image.height(), |x, y| color(image.pixel(x, y)))
 }
 
 /// The image at half its size, centred at the lower edge of an image of the old size; its outermost pixels are
 /// repeated.
 fn smaller(image: &RgbImage) -> RgbImage {
     let (w, h) = (image.width(), image.height());
-    let source = |x: u32, y: u32| {
-        let column = (2 * x).saturating_sub(w / 2).min(w - 1);
-        let row = (2 * y).saturating_sub(h).min(h - 1);
-        let at = 3 * (row * w + column) as usize;
-        image.data()[at..at + 3].to_vec()
-    };
-    let data = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).flat_map(|(x, y)| source(x, y)).collect();
-    RgbImage::from_rgb(w, h, data).expect("it has the size")
+    RgbImage::painted(w, h, |x, y| {
+        let (column, row) = ((2 * x).saturating_sub(w / 2), (2 * y).saturating_sub(h));
+        image.pixel(column.min(w - 1), row.min(h - 1))
+    })
 }
 
 #[test]
@@ -174,17 +169,13 @@ fn real_hands_are_seen_in_other_light_and_smaller() {
 fn wall(color: [f64; 3], planks: bool, seed: u64) -> RgbImage {
     let (w, h) = (240u32, 320u32);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut data = Vec::new();
-    for y in 0..h {
+    RgbImage::painted(w, h, |x, y| {
         let plank = if planks && y % 80 < 2 { 0.6 } else { 1.0 };
         let grain = if planks { 1.0 + 0.08 * (f64::from(y) * 0.9).sin() } else { 1.0 };
-        for x in 0..w {
-            let light = 0.75 + 0.3 * f64::from(x) / f64::from(w);
-            let noise = 8.0 * (rng.random::<f64>() - 0.5);
-            data.extend(color.map(|c| (c * light * plank * grain + noise).clamp(0.0, 255.0) as u8));
-        }
-    }
-    RgbImage::from_rgb(w, h, data).expect("it has the size")
+        let light = 0.75 + 0.3 * f64::from(x) / f64::from(w);
+        let noise = 8.0 * (rng.random::<f64>() - 0.5);
+        color.map(|c| (c * light * plank * grain + noise).clamp(0.0, 255.0) as u8)
+    })
 }
 
 #[test]
@@ -204,10 +195,9 @@ fn walls_have_no_hands() {
 fn what_is_hardly_a_picture_has_no_hand_and_ends_nothing() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     for (w, h) in [(0, 0), (1, 1), (1, 900), (17, 16), (200, 150)] {
-        let bytes = (w * h * 3) as usize;
-        let noise: Vec<u8> = (0..bytes).map(|_| rng.random()).collect();
-        for data in [vec![0; bytes], vec![255; bytes], noise] {
-            let image = RgbImage::from_rgb(w, h, data).unwrap();
+        let noise = RgbImage::painted(w, h, |_, _| rng.random());
+        let [black, white] = [0, 255].map(|level| RgbImage::painted(w, h, |_, _| [level; 3]));
+        for image in [black, white, noise] {
             assert!(by_skin(&image).is_none() && learned(&image).is_none(), "{w} x {h}");
         }
     }

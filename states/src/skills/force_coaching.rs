@@ -1,7 +1,5 @@
 //! `ForceCoaching`: the coach's pushes on the hand change the running motion at the phases where they act.
 
-use std::sync::Arc;
-
 use armarium_motion::CoachInput;
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -11,7 +9,7 @@ use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest =
         SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
             .input("motion", Type::motion(), "The running motion.")

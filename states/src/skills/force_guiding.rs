@@ -1,8 +1,6 @@
 //! `ForceGuiding`: the hand follows the force of a person who leads it, until they let go of it. The way that it was led is kept
 //! as a motion.
 
-use std::sync::Arc;
-
 use armarium_motion::{Admittance, AdmittanceConfig, GuidingStatus};
 use armarium_robot::{Fault, Platform};
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
@@ -27,7 +25,7 @@ const LED: f64 = 0.02;
 /// A shove is over this share of the force limit, so that the law stands before the guard gives way.
 const SHOVE: f64 = 0.75;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ForceGuiding",
         "Lets a person lead the arm's hand by the force on it, until they let go. Tare before, with the hand free.",

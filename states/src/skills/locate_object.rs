@@ -19,7 +19,7 @@ use crate::surface::Surface;
 /// Number of good detections that are averaged.
 const DETECTIONS: usize = 5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "LocateObject",
         "Finds an object of prior knowledge in the stereo images and puts it into memory, with the table on which it stands.",

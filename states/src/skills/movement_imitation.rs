@@ -4,8 +4,6 @@
 //! oscillator estimates the frequency while a periodic movement primitive learns the motion online. The robot does
 //! not move.
 
-use std::sync::Arc;
-
 use armarium_motion::{
     DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp,
     PeriodicDmpConfig, SegmenterConfig, Swipe,
@@ -14,7 +12,6 @@ use armarium_runtime::skill::{
     Failure, Mark, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult,
 };
 use armarium_values::{Type, Unit};
-use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings, MarkerStep};
 use nalgebra::Point3;
 
 use crate::arm::Senses;
@@ -31,7 +28,7 @@ const POINTS: usize = 200;
 /// A motion was demonstrated inside the workspace if its centre is nearer to the workspace's centre than this, m.
 const MAX_OFFSET: f64 = 0.15;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "MovementImitation",
         "Watches the coach's tool and learns the periodic motion that it shows.",
@@ -78,14 +75,10 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Observed
     let most_periods = context.number("periods")?;
     let marker = context.text("marker")?;
     let class = object_class(&*equipment.memory, marker).await?;
-    let tracking = ColorMarkerObjectTracking::new(
-        equipment.images.calibration(),
-        MarkerSettings::new(class.color).with_diameter(class.size.iter().sum::<f64>() / 3.0),
-        equipment.seed,
-    );
+    let diameter = class.size.iter().sum::<f64>() / 3.0;
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
     let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
-    let mut sight = equipment.look(MarkerStep::new(tracking, marker));
+    let mut sight = equipment.look(equipment.track(class.color, Some(diameter), marker));
     let mut senses = Senses::new(&*equipment.robot, context);
     equipment.robot.say(REQUEST);
     let (mut last_learned, mut waited) = (None, 0.0);

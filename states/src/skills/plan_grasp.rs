@@ -28,7 +28,7 @@ const MIN_MARGIN: f64 = 0.03;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PlanGrasp",
         "Chooses the pose of the hand for a grasp against the surface on which the object stands, by the arm's margin.",

@@ -20,7 +20,7 @@ use crate::places::Remembered;
 /// Interval of the memory queries, s.
 const POLL_INTERVAL: f64 = 0.1;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "RecallObject",
         "Finds where an object is in memory, whoever saw it last, and waits for somebody who does.",

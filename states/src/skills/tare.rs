@@ -20,7 +20,7 @@ const STANDING: f64 = 0.01;
 /// A robot that sends no sample for this long is silent.
 const SILENT_AFTER: Duration = Duration::from_millis(500);
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "Tare",
         "Takes what the wrist sensor feels of the resting hand as zero; nothing may touch the hand.",

@@ -1,8 +1,6 @@
 //! `VisionCoaching`: the coach's gestures change the running motion. A fist draws the near part of the path towards
 //! the hand, two fingers push it away, one finger moves the whole motion.
 
-use std::sync::Arc;
-
 use armarium_motion::CoachInput;
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
@@ -22,7 +20,7 @@ const NO_EFFECT_FOR: f64 = 6.0;
 /// A hand of which no picture has come for this long shows nothing any more, s.
 const WITHOUT_PICTURES: f64 = 0.7;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")
         .input("motion", Type::motion(), "The running motion.")
         .optional("patience", Type::Duration, 0.8, "Ends when no such gesture has been seen for this long.")

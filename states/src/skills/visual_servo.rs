@@ -3,16 +3,11 @@
 //! Hand and object are seen by the same cameras, and the error is computed from both, so that an error of the
 //! cameras' mounting cancels. The hand comes from over the object: first to the pre-pose, then straight to the grasp.
 
-use std::sync::Arc;
-
 use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
 use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, MarkerSettings, MarkerStep, ObjectLocalizer, ObjectStep,
-    Sight, Sighting, StereoStep,
-};
+use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
@@ -33,7 +28,7 @@ const MAX_JUMP: f64 = 0.06;
 /// A force of this size on the way down means that the hand has hit something, N.
 const STOPPING_FORCE: f64 = 12.0;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "VisualServoTowardsTargetPose",
         "Brings the hand to an object's grasp pose, seeing hand and object with the same cameras.",
@@ -146,12 +141,10 @@ impl Detections {
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let marker = marker(equipment.robot.model(), arm)?;
-        let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
-        let hand_tracking = ColorMarkerObjectTracking::new(calibration, settings, equipment.seed);
         let localizer = ObjectLocalizer::new(calibration, model).standing_on(surface.rotation());
         let both: Vec<Box<dyn StereoStep>> = vec![
             Box::new(ObjectStep::new(localizer, OBJECT)),
-            Box::new(MarkerStep::new(hand_tracking, HAND)),
+            Box::new(equipment.track(marker.color, Some(marker.diameter), HAND)),
         ];
         Ok(Self {
             sight: equipment.look(both),

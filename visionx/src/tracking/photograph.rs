@@ -8,7 +8,7 @@ use nalgebra::{Point2, Vector2};
 use super::detector::{HandDetector, HandInPicture, HandOutline};
 use super::recognizer::GestureRecognizer;
 use super::skin::SkinSegmentation;
-use crate::components::largest_bounds;
+use crate::components::largest;
 use crate::distance::inside;
 use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
@@ -52,7 +52,7 @@ impl HandDetector for SkinHandDetector {
         let (gesture, sure) = self.recognizer.recognize(&fingers);
         let whole = Region::whole(image.width(), image.height());
         Some(HandInPicture {
-            bounding_box: enlarged(&largest_bounds(&hand), scale, &whole),
+            bounding_box: enlarged(&largest(&hand)?.bounds, scale, &whole),
             palm: place(&shape.palm),
             palm_radius: radius * scale,
             fingertips,
@@ -89,14 +89,9 @@ fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
     let whole = mask.region();
     let (from, to) = (middle - Vector2::repeat(reach), middle + Vector2::repeat(reach));
     let region = Region::spanning(from.x, from.y, to.x, to.y, whole.width, whole.height);
-    let mut part = Mask::empty(region);
-    let w = part.width();
-    for (i, m) in part.data_mut().iter_mut().enumerate() {
-        let (x, y) = (region.x as usize + i % w, region.y as usize + i / w);
-        let is_near = (Point2::new(x as f64, y as f64) - middle).norm() <= reach;
-        *m = u8::from(is_near && mask.contains(x as i64, y as i64));
-    }
-    part
+    let is_near = |(x, y)| (Point2::new(f64::from(x), f64::from(y)) - middle).norm() <= reach;
+    let bit = |(x, y)| is_near((x, y)) && mask.contains(i64::from(x), i64::from(y));
+    Mask::of(region, region.pixels().map(bit))
 }
 
 /// Scales a region of a reduced image to the full image.

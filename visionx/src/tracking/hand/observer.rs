@@ -7,8 +7,9 @@ use super::depth::Ranging;
 use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
-use crate::components::largest_bounds;
+use crate::components::largest;
 use crate::frame::{DepthImage, StereoFrame};
+use crate::mask::Region;
 use crate::tracking::{GestureRecognizer, SeenFinger};
 
 /// Finds a hand and its gesture in a stream of frames.
@@ -137,7 +138,7 @@ impl HandObserver {
         let surface = ranging.palm(&shape.palm);
         let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
         // A hand that extends beyond the image counts as hidden.
-        let bounds = largest_bounds(&hand.left);
+        let bounds = largest(&hand.left).map_or_else(Region::default, |hand| hand.bounds);
         let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
         let hidden = if cut { 1.0 } else { hand.hidden };
         let whole = hidden < HandObservation::HIDDEN;
