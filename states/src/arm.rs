@@ -145,19 +145,9 @@ pub(crate) struct ArmLeases {
 }
 
 impl ArmLeases {
-    /// Leases an arm, with the limbs that help it, as far as nobody else commands them. Its hand may come near to the places in
-    /// memory at which it is, or would be with its TCP at one of `targets` (root frame).
+    /// Leases an arm, with these helpers as far as nobody else commands them. Its hand may come near to the places in memory at which it
+    /// is, or would be with its TCP at one of `targets` (root frame).
     pub(crate) async fn take(
-        equipment: &Equipment,
-        context: &SkillContext,
-        arm: &Limb,
-        targets: &[Isometry3<f64>],
-    ) -> Result<Self, Failure> {
-        Self::take_with(equipment, context, arm, (&arm.helped_by, targets)).await
-    }
-
-    /// The same with these helpers.
-    async fn take_with(
         equipment: &Equipment,
         context: &SkillContext,
         arm: &Limb,
@@ -189,9 +179,9 @@ impl ArmLeases {
 
 /// An arm and what helps it, with their leases.
 pub(crate) struct LeasedArm {
-    leases: ArmLeases,
+    pub(crate) leases: ArmLeases,
     model: Arc<Model>,
-    limb: Limb,
+    pub(crate) limb: Limb,
     tcp: LinkId,
     ik: DifferentialIk,
     kinematics: Kinematics,
@@ -207,12 +197,8 @@ impl LeasedArm {
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
         let limb = chosen(equipment, context)?;
-        Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, targets).await?)
-    }
-
-    /// Leases the arm that the input names, without what helps it.
-    pub(crate) async fn take_alone(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        Self::take_limb(equipment, context, chosen(equipment, context)?, &[]).await
+        let leases = ArmLeases::take(equipment, context, limb, (&limb.helped_by, targets)).await?;
+        Self::with(equipment, limb, leases)
     }
 
     /// Leases an arm without what helps it, whose TCP goes to `targets`.
@@ -222,7 +208,7 @@ impl LeasedArm {
         limb: &Limb,
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
-        Self::with(equipment, limb, ArmLeases::take_with(equipment, context, limb, (&[], targets)).await?)
+        Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, (&[], targets)).await?)
     }
 
     /// From now on the null space pulls towards the posture of a sample.
@@ -237,16 +223,6 @@ impl LeasedArm {
         let ik = DifferentialIk::new(&model, tcp, &leases.joints, IkConfig::default());
         let kinematics = Kinematics::new(&model);
         Ok(Self { leases, limb: limb.clone(), model, tcp, ik, kinematics, posture })
-    }
-
-    /// What it is.
-    pub(crate) fn limb(&self) -> &Limb {
-        &self.limb
-    }
-
-    /// Its leases.
-    pub(crate) fn leases(&self) -> &ArmLeases {
-        &self.leases
     }
 
     /// The joints with which it reaches.

@@ -338,7 +338,7 @@ impl Wiper {
         self.channels.publish(
             "motion",
             Value::record([
-                ("arm", Value::from(self.arm.limb().name.as_str())),
+                ("arm", Value::from(self.arm.limb.name.as_str())),
                 ("phase", Value::Float(phase)),
                 ("frequency", Value::Float(omega / TAU)),
                 ("position", Value::from([tcp.x, tcp.y, tcp.z])),

@@ -87,7 +87,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         root_from_left,
     };
     let color = ColorModel::from_rgb([40, 170, 60]);
-    measure("colour segmentation", STEREO, |_| color.counts(&frame)[0] > 0);
+    measure("colour segmentation", STEREO, |_| {
+        [&frame.left, &frame.right].iter().all(|eye| color.segment(eye).count() > 0)
+    });
     let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, [40, 170, 60], None, 1);
     measure("marker tracking", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;

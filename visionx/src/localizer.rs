@@ -39,12 +39,8 @@ pub struct ObjectEstimate {
     pub covariance: Matrix4<f64>,
     /// Visible fraction of the silhouette, 0 to 1, mean of both images.
     pub visible: f64,
-    /// Root mean square distance of the visible outline from the fitted one, px.
-    pub residual_px: f64,
     /// The fitted silhouette in the left image, px.
     pub outline_left: Vec<Point2<f64>>,
-    /// The frame's stamp, ns.
-    pub stamp_ns: u64,
 }
 
 /// Finds a box of known colour and size in stereo frames. Keeps no state between frames.
@@ -129,7 +125,7 @@ impl ObjectLocalizer {
                 best = fit.filter(better).or(best);
             }
         }
-        best.map(|fit| fit.estimate(&self.surface, frame.stamp_ns))
+        best.map(|fit| fit.estimate(&self.surface))
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -297,7 +293,7 @@ impl Fit {
         self.visible + self.supported - self.contradicted - self.spilled
     }
 
-    fn estimate(self, surface: &UnitQuaternion<f64>, stamp_ns: u64) -> ObjectEstimate {
+    fn estimate(self, surface: &UnitQuaternion<f64>) -> ObjectEstimate {
         let yaw = half_turn(self.pose.w);
         let upright = isometry(&Pose4::new(self.pose.x, self.pose.y, self.pose.z, yaw));
         let turn = surface.to_rotation_matrix().to_homogeneous();
@@ -306,9 +302,7 @@ impl Fit {
             yaw,
             covariance: turn * self.covariance * turn.transpose(),
             visible: self.visible,
-            residual_px: self.residual_px,
             outline_left: self.outlines[0].corners().to_vec(),
-            stamp_ns,
         }
     }
 }
@@ -402,7 +396,7 @@ mod tests {
             let estimate = localizer().localize(&frame(&scene, 7, i as u64)).unwrap();
             let (place, turn) = errors(&estimate, *x, *y, *yaw);
             assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad, {estimate:?}");
-            assert!(estimate.visible > 0.95 && estimate.stamp_ns == 7);
+            assert!(estimate.visible > 0.95);
         }
     }
 

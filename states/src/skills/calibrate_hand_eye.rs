@@ -61,10 +61,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
-    let (works, hand) = (
-        workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?,
-        hand(model, arm.limb())?,
-    );
+    let (works, hand) =
+        (workspace(model, &arm.limb, &equipment.robot.sensed().borrow().position)?, hand(model, &arm.limb)?);
     let facing = from_level(&hand.grasps_from(&works.rotation));
     let center = match context.value("center")? {
         center if center.as_list().is_some_and(<[Value]>::is_empty) => {
@@ -72,11 +70,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
         center => as_point(center).ok_or_else(|| Failure::new("`center` needs three numbers"))?,
     };
-    let yaw = model.side_of(arm.limb()) * context.number("yaw")?;
+    let yaw = model.side_of(&arm.limb) * context.number("yaw")?;
     let palm = facing * hand.palm_down(yaw);
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let marker = marker(model, arm.limb())?;
+    let marker = marker(model, &arm.limb)?;
     // The mounting through which everything is seen now.
     let known = load_mounting(&*equipment.memory, &equipment.agent).await?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());

@@ -65,7 +65,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let rise = wiper.rise_from(&tool);
     let above = context.number("hover")? + rise;
     wiper.approach(&mut senses, above, 0.2).await?;
-    let sensor = sensor_of(wiper.arm.limb())?;
+    let sensor = sensor_of(&wiper.arm.limb)?;
     equipment.robot.tare(&equipment.robot.model().wrenches()[sensor].name).map_err(failed)?;
     let fitted = fit(&context, &mut wiper, &mut senses, (force, rise)).await;
     // Changes by coaches meanwhile are kept even after a failure.

@@ -7,7 +7,7 @@ use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest,
 use armarium_values::{Type, Unit};
 use nalgebra::{Vector3, Vector6};
 
-use crate::arm::{LeasedArm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, chosen, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::follow::FollowingPlatform;
 use crate::inputs::reference;
@@ -51,7 +51,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (patience, released) = (context.number("patience")?, context.number("released")?);
     let alone = context.text("moves")? == ARM;
     let mut arm = if alone {
-        LeasedArm::take_alone(&equipment, &context).await?
+        LeasedArm::take_limb(&equipment, &context, chosen(&equipment, &context)?, &[]).await?
     } else {
         LeasedArm::take(&equipment, &context, &[]).await?
     };
@@ -59,13 +59,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut platform = match alone {
         true => None,
-        false => FollowingPlatform::take(&equipment, &context, arm.limb(), &senses.newest())?,
+        false => FollowingPlatform::take(&equipment, &context, &arm.limb, &senses.newest())?,
     };
     let mut law = Admittance::new(config(&equipment, &context)).map_err(failed)?;
     let mut led = Led::default();
     loop {
         let (sample, dt) = senses.next().await?;
-        if let Some(Fault::Force { force_n, .. }) = arm.leases().fault() {
+        if let Some(Fault::Force { force_n, .. }) = arm.leases.fault() {
             return Ok(led.outcome(SHOVED, force_n));
         }
         let pose = arm.tcp(&sample);

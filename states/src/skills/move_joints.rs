@@ -31,7 +31,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tolerance = context.number("tolerance")?;
     let timeout = context.number("timeout")?;
     let arm = chosen(&equipment, &context)?;
-    let leases = ArmLeases::take(&equipment, &context, arm, &[]).await?;
+    let leases = ArmLeases::take(&equipment, &context, arm, (&arm.helped_by, &[])).await?;
     let goal = goal(&equipment, &context, arm)?;
     let model = equipment.robot.model();
     let mut senses = Senses::new(&*equipment.robot, &context);

@@ -41,7 +41,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let sensor = sensor_of(arm)?;
     let joints = model.reaching_joints(&arm.name);
     // Limbs that are held without a command stand still.
-    let held = ArmLeases::take(&equipment, &context, arm, &[]).await?;
+    let held = ArmLeases::take(&equipment, &context, arm, (&arm.helped_by, &[])).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut waited, mut rested) = (0.0, 0.0);
     let felt = loop {

@@ -48,7 +48,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
 
     let model = equipment.robot.model();
-    let hand = hand(model, arm.limb())?;
+    let hand = hand(model, &arm.limb)?;
     let aperture = aperture(model.limb(&hand.name), &senses.newest());
     if aperture < MIN_APERTURE {
         return Err(Failure::new(format!(
@@ -118,7 +118,7 @@ async fn look(
     (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
 ) -> Result<f64, Failure> {
     let (hand, held) = (equipment.clone(), *held_in_tcp);
-    let tcp = tcp_of(arm.limb())?;
+    let tcp = tcp_of(&arm.limb)?;
     let in_hand = move |stamp_ns| Some(hand.link_at(tcp, stamp_ns).ok()? * held);
     let mut sight = equipment.look(equipment.track(color, None, HELD).expected_at(in_hand.clone()));
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);

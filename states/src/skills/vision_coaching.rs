@@ -2,7 +2,7 @@
 //! the hand, two fingers push it away, one finger moves the whole motion.
 
 use armarium_motion::CoachInput;
-use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 
 use crate::coaching::Coaching;
@@ -33,7 +33,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let patience = context.number("patience")?;
     let mut coaching = Coaching::begin(&equipment, &context)?;
     let _frames_are_wanted = context.channels.demand("hand");
-    let mut displacement = 0.0_f64;
     let (mut shown, mut told) = (0.0, false);
     loop {
         let dt = coaching.next().await?;
@@ -45,11 +44,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             coaching.set_arrival(field("came_at").and_then(Value::as_f64));
         }
         let report = coaching.apply(dt, input)?;
-        if report.active {
-            displacement = displacement.max(report.displacement);
-        }
         shown = if input == CoachInput::None { 0.0 } else { shown + dt };
-        let without_effect = shown > NO_EFFECT_FOR && displacement < NO_EFFECT;
+        let without_effect = shown > NO_EFFECT_FOR && coaching.displacement() < NO_EFFECT;
         let said = match () {
             () if report.ambiguous => Some(AMBIGUOUS),
             () if without_effect => Some(WITHOUT_EFFECT),
@@ -59,8 +55,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             told = true;
             equipment.robot.say(said);
         }
-        if coaching.idle() > patience {
-            return Ok(Outcome::success().with("displacement", displacement));
+        if let Some(outcome) = coaching.ended(patience) {
+            return Ok(outcome);
         }
     }
 }

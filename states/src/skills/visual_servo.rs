@@ -46,7 +46,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[context.pose("target")?]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut sight = Detections::new(&equipment, &context, arm.limb()).await?;
+    let mut sight = Detections::new(&equipment, &context, &arm.limb).await?;
     let over = context.pose("pre_pose")?.translation.vector - context.pose("target")?.translation.vector;
     servo(&equipment, &context, &mut arm, &mut senses, &mut sight, over).await?;
     let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, Vector3::zeros()).await?;
@@ -72,7 +72,7 @@ async fn servo(
     })
     .map_err(|e| Failure::new(e.to_string()))?;
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
-    let marker_link = marker(equipment.robot.model(), arm.limb())?.link;
+    let marker_link = marker(equipment.robot.model(), &arm.limb)?.link;
     let mut last_frame_ns = None;
     loop {
         let (sample, _) = senses.next().await?;
@@ -82,7 +82,7 @@ async fn servo(
                 * 1e-9;
             last_frame_ns = Some(frame.stamp_ns);
             let [tcp, marker] =
-                [tcp_of(arm.limb())?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
+                [tcp_of(&arm.limb)?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
             let (tcp, marker) = (tcp?, marker?);
             let observation = sight.observe(&frame, &tcp, &marker, &over);
             let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;

@@ -36,8 +36,6 @@ pub struct MarkerEstimate {
     pub left_px: Point2<f64>,
     /// Visible fraction, 0 to 1, of the image that shows less.
     pub visible: f64,
-    /// The frame's stamp, ns.
-    pub stamp_ns: u64,
 }
 
 /// Colour segmentation and a particle filter over both eyes.
@@ -270,7 +268,6 @@ impl ColorMarkerObjectTracking {
             covariance,
             left_px: self.calibration.camera.project(&point)?,
             visible: visible[0].min(visible[1]),
-            stamp_ns,
         })
     }
 

@@ -1,5 +1,6 @@
 //! The description of a provider: its images and the calibration of its cameras.
 
+use armarium_source::form;
 use nalgebra::{Isometry3, Point2, Point3};
 use serde::{Deserialize, Serialize};
 
@@ -49,22 +50,24 @@ pub struct CameraModel {
     pub reference_from_camera: Isometry3<f64>,
 }
 
-/// Brown and Conrady's distortion, as OpenCV's `plumb_bob`.
-///
-/// # Source
-/// D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Distortion {
-    /// Radial.
-    pub k1: f64,
-    /// Radial.
-    pub k2: f64,
-    /// Tangential.
-    pub p1: f64,
-    /// Tangential.
-    pub p2: f64,
-    /// Radial.
-    pub k3: f64,
+form! {
+    /// Brown and Conrady's distortion, as OpenCV's `plumb_bob`.
+    ///
+    /// # Source
+    /// D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966).
+    #[derive(Copy, Deserialize)]
+    pub struct Distortion: "a distortion" {
+        /// Radial.
+        pub k1: f64;
+        /// Radial.
+        pub k2: f64;
+        /// Tangential.
+        pub p1: f64;
+        /// Tangential.
+        pub p2: f64;
+        /// Radial.
+        pub k3: f64;
+    }
 }
 
 /// Why a provider's images are not a stereo pair.

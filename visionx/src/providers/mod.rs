@@ -39,7 +39,7 @@ use crate::frame::ImageError;
 pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
 pub use description::{CameraModel, Distortion, ImageDescription, NotStereo, ProviderDescription};
-pub use discovery::{DescriptionError, FoundProvider, RemoteError, providers};
+pub use discovery::{FoundProvider, RemoteError, providers};
 pub use files::{FileProvider, Pace};
 pub use frame::{MAX_IMAGES, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage};
 pub use offering::{Offered, OfferedStatistics, offer};

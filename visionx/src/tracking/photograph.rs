@@ -38,9 +38,7 @@ impl SkinHandDetector {
 impl HandDetector for SkinHandDetector {
     fn find(&mut self, image: &RgbImage) -> Option<HandInPicture> {
         let segmentation = SkinSegmentation::of(image)?;
-        let (palm, radius) = widest(&segmentation.mask)?;
-        let hand = near(&segmentation.mask, &palm, REACH * radius);
-        let shape = hand_shape(&hand, PALM / radius)?;
+        let (shape, hand, radius) = measured(&segmentation.mask)?;
         let pixel_m = PALM / radius;
         let scale = segmentation.scale;
         let place = |p: &Point2<f64>| Point2::from(p.coords * scale + Vector2::repeat((scale - 1.0) / 2.0));
@@ -64,10 +62,11 @@ impl HandDetector for SkinHandDetector {
     }
 }
 
-/// The shape of a silhouette, assuming a typical palm.
-pub(super) fn measured(mask: &Mask) -> Option<HandShape> {
+/// The shape of a silhouette, assuming a typical palm; the silhouette without the arm, and the palm's radius, px.
+pub(super) fn measured(mask: &Mask) -> Option<(HandShape, Mask, f64)> {
     let (palm, radius) = widest(mask)?;
-    hand_shape(&near(mask, &palm, REACH * radius), PALM / radius)
+    let hand = near(mask, &palm, REACH * radius);
+    Some((hand_shape(&hand, PALM / radius)?, hand, radius))
 }
 
 /// The finger's pad, slightly inside of its end.

@@ -97,7 +97,8 @@ fn without_threads(mask: Mask) -> Mask {
 
 /// The bonus of fingers for a region's score.
 fn finger_bonus(thing: &Mask) -> f64 {
-    let stretched = measured(thing).map_or(0, |shape| shape.fingers.iter().filter(|f| f.score > 0.5).count());
+    let stretched =
+        measured(thing).map_or(0, |(shape, ..)| shape.fingers.iter().filter(|f| f.score > 0.5).count());
     if (1..=5).contains(&stretched) { FINGERS } else { 0.0 }
 }
 

@@ -24,6 +24,7 @@ const MIN_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 #[derive(Clone, Debug)]
 pub struct Rectification {
     calibration: StereoCalibration,
+    /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
     left_from_rectified: UnitQuaternion<f64>,
     eyes: [Vec<Source>; 2],
 }
@@ -74,11 +75,6 @@ impl Rectification {
     /// The calibration of the rectified pair.
     pub fn calibration(&self) -> StereoCalibration {
         self.calibration
-    }
-
-    /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
-    pub fn left_from_rectified(&self) -> UnitQuaternion<f64> {
-        self.left_from_rectified
     }
 
     /// Rectifies the frame; black where the cameras saw nothing. `None` when an image has another size. A depth image

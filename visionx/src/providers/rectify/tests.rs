@@ -81,7 +81,7 @@ fn the_ideal_pair_sees_what_its_own_rays_meet() {
     let StereoCalibration { camera, baseline } = rectification.calibration();
     let offset = right.reference_from_camera.translation.vector;
     assert!((baseline - offset.norm()).abs() < 1e-12);
-    let reference_from_rectified = left.reference_from_camera.rotation * rectification.left_from_rectified();
+    let reference_from_rectified = left.reference_from_camera.rotation * rectification.left_from_rectified;
     // The rectified right camera is at the real one's position.
     assert!((reference_from_rectified * Vector3::x() * baseline - offset).norm() < 1e-12);
     for (eye, image) in [(&left, &rectified.left), (&right, &rectified.right)] {

@@ -74,28 +74,19 @@ struct Search<'a> {
     preferred: ([f32; 2], f64),
 }
 
-/// Finds the region most similar to a hand. `skin`: the log-chromaticities of the hand in the last frames.
+/// Finds the region most similar to a hand. `skin`: the log-chromaticities of the hand in the last frames. `near`: a hand may be so near
+/// that it hides much of the background, so that the nearest region is searched alone at first.
 pub(crate) fn find(
     frame: &StereoFrame,
     depth: Option<&DepthImage>,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
+    near: bool,
 ) -> Option<HandCandidate> {
-    let out = depth.and_then(|d| standing_out(d, &calibration.camera));
-    find_among(frame, depth, calibration, skin, out)
-}
-
-/// As [`find`], for hands so near that they hide much of the background: first searches the nearest region alone.
-pub(crate) fn find_near_too(
-    frame: &StereoFrame,
-    depth: Option<&DepthImage>,
-    calibration: &StereoCalibration,
-    skin: Option<[f32; 2]>,
-) -> Option<HandCandidate> {
-    let nearest = depth.and_then(|d| nearest(d, &calibration.camera));
-    nearest
-        .and_then(|out| find_among(frame, depth, calibration, skin, Some(out)))
-        .or_else(|| find(frame, depth, calibration, skin))
+    let among = |out: Option<Mask>| find_among(frame, depth, calibration, skin, out);
+    let nearest = depth.filter(|_| near).and_then(|d| nearest(d, &calibration.camera));
+    let found = nearest.and_then(|out| among(Some(out)));
+    found.or_else(|| among(depth.and_then(|d| standing_out(d, &calibration.camera))))
 }
 
 /// The pixels at most a hand's length behind the nearest one; `None` when that is not near or they fill most of

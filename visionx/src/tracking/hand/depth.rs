@@ -46,20 +46,9 @@ impl<'a> Ranging<'a> {
         Point3::from(self.calibration.camera.ray(px) * self.z)
     }
 
-    /// The surface point of the hand at a pixel, measured from the part within `radius` m of it, left camera
-    /// frame, m.
-    pub(crate) fn point(&self, px: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
-        self.point_by(px, px, radius)
-    }
-
-    /// As [`Self::point`], measured about a `neighbour` of the pixel.
-    pub(crate) fn point_by(
-        &self,
-        px: &Point2<f64>,
-        neighbour: &Point2<f64>,
-        radius: f64,
-    ) -> Option<Point3<f64>> {
-        let z = self.depth(neighbour, radius)?;
+    /// The surface point of the hand at a pixel, measured from the part within `radius` m of another one beside it, left camera frame, m.
+    pub(crate) fn point(&self, px: &Point2<f64>, beside: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
+        let z = self.depth(beside, radius)?;
         Some(Point3::from(self.calibration.camera.ray(px) * z))
     }
 
