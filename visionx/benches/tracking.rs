@@ -16,9 +16,8 @@ use armarium_visionx::tracking::{
     FingerTipSettings, FingerTipTracking, HandDetector, LearnedHandDetector, SkinHandDetector,
 };
 use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, MarkerStep,
-    ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame, StereoStep,
-    TabletopSegmentation, TabletopStep,
+    ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, MarkerStep, ObjectLocalizer,
+    PinholeCamera, RgbImage, StereoCalibration, StereoFrame, StereoStep, TabletopSegmentation, TabletopStep,
 };
 use nalgebra::{Isometry3, Point2, Vector2, Vector3};
 
@@ -115,9 +114,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (name, mut detector) in detectors {
         measure(name, "a photograph of 480 x 640", |_| detector.find(&photograph).is_some());
     }
-    let model =
-        BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
-    let localizer = ObjectLocalizer::new(CALIBRATION, model);
+    let localizer = ObjectLocalizer::new(CALIBRATION, [0.10, 0.07, 0.04], [240, 210, 40]);
     measure("object localisation", STEREO, |_| localizer.localize(&frame).is_some());
     // The plane is a level table under cameras that look down on it.
     frame.root_from_left.translation.z = 1.0 + DEPTH;

@@ -18,15 +18,6 @@ use crate::mask::Mask;
 use crate::minimize::simplex;
 use crate::outline::{ConvexOutline, RowSums, border_points, box_outline};
 
-/// Prior knowledge of an object.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BoxModel {
-    /// Edge lengths along the box's own x, y, z, m. The box lies on a face normal to its z.
-    pub size: Vector3<f64>,
-    /// Its colour.
-    pub color: ColorModel,
-}
-
 /// The located object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectEstimate {
@@ -47,7 +38,8 @@ pub struct ObjectEstimate {
 #[derive(Clone, Debug)]
 pub struct ObjectLocalizer {
     calibration: StereoCalibration,
-    model: BoxModel,
+    size: Vector3<f64>,
+    color: ColorModel,
     /// The rotation of the surface, root frame.
     surface: UnitQuaternion<f64>,
 }
@@ -91,9 +83,16 @@ const BORDER_REACH_PX: f64 = 2.5;
 const BORDER_SIGMA_PX: f64 = 0.35;
 
 impl ObjectLocalizer {
-    /// A localizer for one kind of object on a level surface.
-    pub fn new(calibration: StereoCalibration, model: BoxModel) -> Self {
-        Self { calibration, model, surface: UnitQuaternion::identity() }
+    /// A localizer for boxes of this colour (RGB) with these edge lengths along their own x, y, z, m, on a level surface. They lie on a
+    /// face normal to their z.
+    pub fn new(calibration: StereoCalibration, size: impl Into<Vector3<f64>>, color: [u8; 3]) -> Self {
+        let (size, color, surface) = (size.into(), ColorModel::from_rgb(color), UnitQuaternion::identity());
+        Self { calibration, size, color, surface }
+    }
+
+    /// The height of the boxes, m.
+    pub(crate) fn height(&self) -> f64 {
+        self.size.z
     }
 
     /// The same for objects on a surface with this rotation (root frame): a level one turned by its tilt.
@@ -106,12 +105,12 @@ impl ObjectLocalizer {
     /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size, or the images do not have the
     /// calibration's size.
     pub fn localize(&self, frame: &StereoFrame) -> Option<ObjectEstimate> {
-        let size = self.model.size;
+        let size = self.size;
         if !self.calibration.fits(frame) || size.min() <= 1e-3 || size.max() >= 2.0 || !size.sum().is_finite()
         {
             return None;
         }
-        let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
+        let masks = [&frame.left, &frame.right].map(|image| self.color.segment(image));
         let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let surface_from_left = self.surface.inverse() * frame.root_from_left;
         let mut best: Option<Fit> = None;
@@ -136,7 +135,7 @@ impl ObjectLocalizer {
         surface_from_left: &Isometry3<f64>,
     ) -> Option<(Point3<f64>, f64)> {
         let camera = &self.calibration.camera;
-        let radius_m = 0.5 * self.model.size.norm();
+        let radius_m = 0.5 * self.size.norm();
         let point = self.calibration.triangulate(&l.centroid, &r.centroid)?;
         let radius_px = radius_m * camera.focal / point.z;
         let rows = (l.centroid.y - r.centroid.y).abs();
@@ -192,7 +191,7 @@ impl ObjectLocalizer {
     /// The silhouettes in both images.
     fn outlines(&self, pose: &Pose4, left_from_surface: &Isometry3<f64>) -> Option<[ConvexOutline; 2]> {
         let left_from_box = left_from_surface * isometry(pose);
-        let (camera, size) = (&self.calibration.camera, &self.model.size);
+        let (camera, size) = (&self.calibration.camera, &self.size);
         let left = box_outline(camera, 0.0, &left_from_box, size)?;
         Some([left, box_outline(camera, self.calibration.baseline, &left_from_box, size)?])
     }
@@ -379,7 +378,7 @@ mod tests {
     }
 
     fn localizer() -> ObjectLocalizer {
-        ObjectLocalizer::new(CALIBRATION, BoxModel { size: SIZE, color: ColorModel::from_rgb(YELLOW) })
+        ObjectLocalizer::new(CALIBRATION, SIZE, YELLOW)
     }
 
     fn errors(estimate: &ObjectEstimate, x: f64, y: f64, yaw: f64) -> (f64, f64) {
@@ -452,8 +451,8 @@ mod tests {
         for frame in empty_frames() {
             assert_eq!(localizer().localize(&frame), None);
         }
-        let nonsense = BoxModel { size: Vector3::repeat(f64::NAN), color: ColorModel::from_rgb(YELLOW) };
+        let nonsense = ObjectLocalizer::new(CALIBRATION, Vector3::repeat(f64::NAN), YELLOW);
         let scene = [table(TABLE), block(0.3, 0.5, 0.3, SIZE)];
-        assert_eq!(ObjectLocalizer::new(CALIBRATION, nonsense).localize(&frame(&scene, 0, 0)), None);
+        assert_eq!(nonsense.localize(&frame(&scene, 0, 0)), None);
     }
 }

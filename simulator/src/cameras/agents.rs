@@ -75,8 +75,7 @@ impl AgentEyes {
 
 #[cfg(test)]
 mod tests {
-    use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer, components};
-    use nalgebra::Vector3;
+    use armarium_visionx::{ColorModel, ObjectLocalizer, components};
     use std::path::Path;
 
     use crate::simulation::{Options, Simulation};
@@ -99,8 +98,8 @@ mod tests {
         let sponge = &world.objects[world.first_object().unwrap()];
         let color = ColorModel::from_rgb(sponge.color);
         assert!(components(&color.segment(&robots.left), 20).is_empty(), "the robot sees the sponge");
-        let model = BoxModel { size: Vector3::from(sponge.size), color };
-        let seen = ObjectLocalizer::new(eyes.calibration(), model).localize(&alices).unwrap();
+        let localizer = ObjectLocalizer::new(eyes.calibration(), sponge.size, sponge.color);
+        let seen = localizer.localize(&alices).unwrap();
         let place = (world.agents[0].root_from_agent() * seen.root_from_object).translation;
         let off = (place.x - sponge.at[0]).hypot(place.y - sponge.at[1]);
         assert!(off < 0.015, "{place:?} is {off} m off");

@@ -7,7 +7,7 @@ use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus}
 use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
+use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
@@ -138,10 +138,9 @@ impl Detections {
         let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
         let surface = Surface::under(equipment.remembered(), &pose.translation.vector.into()).await?;
         let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
-        let calibration = equipment.images.calibration();
-        let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let marker = marker(equipment.robot.model(), arm)?;
-        let localizer = ObjectLocalizer::new(calibration, model).standing_on(surface.rotation());
+        let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
+        let localizer = localizer.standing_on(surface.rotation());
         let both: Vec<Box<dyn StereoStep>> = vec![
             Box::new(ObjectStep::new(localizer, OBJECT)),
             Box::new(equipment.track(marker.color, Some(marker.diameter), HAND)),
