@@ -11,8 +11,13 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use redb::StorageBackend;
 
+use super::checked::{self, CheckedFile};
 use super::tests::snapshot;
 use super::*;
+use crate::query::Times;
+
+/// The part of the file whose every byte is spoiled once.
+const HEADER_BYTES: usize = 512;
 
 /// A medium that loses power: each unsynced write may be there, missing, or there in part.
 #[derive(Clone, Debug, Default)]
@@ -33,6 +38,8 @@ struct Disk {
     left: Option<u64>,
     /// Whether the changes after that report a full disk.
     full: bool,
+    /// How often the power was off.
+    boot: u8,
 }
 
 impl Disk {
@@ -52,7 +59,11 @@ impl Disk {
 impl Medium {
     fn store(&self) -> Result<LongTermMemory, StoreError> {
         let medium = self.clone();
-        let opener: Opener = Box::new(move || redb::Builder::new().create_with_backend(medium.clone()));
+        let opener: Opener = Box::new(move |salvages| {
+            let boot = [medium.0.lock().boot; 16];
+            let file = CheckedFile::new(medium.clone(), Some(boot), Arc::clone(salvages));
+            redb::Builder::new().create_with_backend(file)
+        });
         LongTermMemory::open_with("medium".into(), None, opener, false)
     }
 
@@ -77,7 +88,7 @@ impl Medium {
             }
             bytes[start..end].copy_from_slice(&data[..written]);
         }
-        *disk = Disk { seen: bytes.clone(), synced: bytes, ..Disk::default() };
+        *disk = Disk { seen: bytes.clone(), synced: bytes, boot: disk.boot + 1, ..Disk::default() };
     }
 }
 
@@ -387,7 +398,7 @@ fn acknowledged_versions_are_never_given_again() {
 fn a_file_of_the_earlier_format_is_opened() {
     let folder = tempfile::tempdir().unwrap();
     let path = file_with(folder.path(), "old.redb", 3);
-    let old = Database::create(&path).unwrap();
+    let old = checked::open(&path, &redb::Builder::new(), &Arc::default()).unwrap();
     let write = old.begin_write().unwrap();
     write.delete_table(GIVEN).unwrap();
     write.delete_table(AGES).unwrap();
@@ -454,33 +465,67 @@ fn what_is_intact_is_exported_past_what_is_damaged() {
     assert_eq!(before.len(), std::fs::read(&path).unwrap().len());
 }
 
+/// A bit that is flipped anywhere is noticed by whoever reads what it spoils: a query says so, or answers as if nothing was.
 #[test]
-fn a_flipped_bit_is_found_or_harmless() {
+fn a_flipped_bit_is_noticed_when_what_it_spoils_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = file_with(folder.path(), "whole.redb", 200);
+    let store = LongTermMemory::open(&path).unwrap();
+    let more = (0..300).map(|n| snapshot(&format!("S/p/other{n}"), 1, n, 1));
+    store.persist(&more.collect::<Vec<_>>()).unwrap();
+    let memory = WorkingMemory::new(Arc::new(|| 1));
+    store.load_into(&memory, Pattern::any()).unwrap();
+    store.save_named("morning", &memory).unwrap();
+    drop(store);
     let bytes = std::fs::read(&path).unwrap();
-    let expected = LongTermMemory::open(&path).unwrap().query(&Query::history(Pattern::any())).unwrap();
+    let queries = [
+        Query::latest(Pattern::any()),
+        Query::history(Pattern::any()),
+        Query::history(Pattern::segment("S").named("e")).times(Times::At(77)),
+        Query::history(Pattern::segment("S").named("other12")),
+    ];
+    let ask = |file: &Path| -> Result<Vec<_>, StoreError> {
+        let store = LongTermMemory::open(file)?;
+        let mut answers: Vec<_> = queries.iter().map(|query| store.query(query)).collect();
+        answers.push(store.named("morning"));
+        let given = |id: &str| store.last_given(&id.parse().unwrap());
+        given("S/p/e").and_then(|e| Ok((e, given("S/p/new")?))).map(|found| (answers, found)).map(|a| vec![a])
+    };
+    let expected = ask(&path).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(1);
-    let mut found = 0;
-    for _ in 0..150 {
+    let file = folder.path().join("flipped.redb");
+    let (mut noticed, mut spoiled) = (0, 0);
+    // Every part of the file: each 512 bytes once, and the first ones, where the header is, each.
+    let places = (0..HEADER_BYTES).chain((HEADER_BYTES..bytes.len()).step_by(512));
+    for place in places {
+        let place = if place < HEADER_BYTES { place } else { place + random.random_range(0..512) };
         let mut flipped = bytes.clone();
-        let at = random.random_range(0..flipped.len());
-        flipped[at] ^= 1 << random.random_range(0..8);
-        let file = folder.path().join("flipped.redb");
+        flipped[place.min(bytes.len() - 1)] ^= 1 << random.random_range(0..8);
         std::fs::write(&file, &flipped).unwrap();
-        let verified = LongTermMemory::open(&file).and_then(|store| {
-            let verified = store.verify()?;
-            Ok((verified, store.query(&Query::history(Pattern::any()))))
-        });
-        match verified {
-            // Free space, or a part that redb holds twice: then nothing is lost.
-            Ok((verified, kept)) if verified.is_intact() => {
-                assert_eq!(kept.unwrap(), expected, "bit at {at}")
+        let verified = LongTermMemory::open(&file).and_then(|store| store.verify());
+        spoiled += u32::from(!verified.is_ok_and(|verified| verified.is_intact()));
+        std::fs::write(&file, &flipped).unwrap();
+        match ask(&file) {
+            Err(error) => {
+                let is_damage = matches!(error, StoreError::Damaged { .. } | StoreError::NotAStore { .. });
+                assert!(is_damage, "{error} at byte {place}");
+                noticed += 1;
             }
-            _ => found += 1,
+            Ok(found) => {
+                for ((found, given), (expected, expected_given)) in found.into_iter().zip(&expected) {
+                    assert_eq!(given, *expected_given, "bit at {place}");
+                    for (found, expected) in found.into_iter().zip(expected) {
+                        match found {
+                            Ok(found) => assert_eq!(&Ok(found), expected, "bit at {place}"),
+                            Err(StoreError::Damaged { .. }) => noticed += 1,
+                            Err(error) => panic!("{error} at byte {place}"),
+                        }
+                    }
+                }
+            }
         }
     }
-    assert!(found > 0);
+    assert!(noticed > 20 && spoiled > 20, "{noticed} noticed, {spoiled} found by verification");
 }
 
 #[test]
@@ -507,7 +552,7 @@ fn other_files_are_refused_and_left_alone() {
     for other_format in [1, 4] {
         let path = folder.path().join(format!("format{other_format}.redb"));
         drop(LongTermMemory::open(&path).unwrap());
-        let newer = Database::create(&path).unwrap();
+        let newer = checked::open(&path, &redb::Builder::new(), &Arc::default()).unwrap();
         let write = newer.begin_write().unwrap();
         write.open_table(META).unwrap().insert("format", other_format).unwrap();
         write.commit().unwrap();
