@@ -314,7 +314,7 @@ async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, ret
     loop {
         tokio::time::sleep(RETENTION_INTERVAL).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());
-        match tokio::task::spawn_blocking(move || store.retain(retention, now_ns)).await {
+        match tokio::task::spawn_blocking(move || store.keep_within(retention, now_ns)).await {
             Ok(Ok(dropped)) if dropped.over > 0 => {
                 tracing::warn!(
                     bytes = dropped.over,

@@ -326,6 +326,10 @@ impl LongTermMemory {
             let mut answer = asked.answer(&|| true);
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
                 if asked.wants(&entity.id) {
+                    if asked.clock.is_some() {
+                        let newest = reader.newest(entity.number)?;
+                        answer.note_clock(&entity.id, || newest.map(|(_, row)| row.3));
+                    }
                     reader.select(&asked, &entity, &mut answer)?;
                 }
                 Ok(!answer.is_full())

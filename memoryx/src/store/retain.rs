@@ -14,15 +14,20 @@ use super::error::Fault;
 use super::write::Writer;
 use super::{LongTermMemory, StoreError, record};
 
-/// Chunks that are forgotten in one transaction, so that no commit waits long.
+/// Chunks that are forgotten in one transaction, and entities of which something is, so that no commit waits long: each entity may
+/// have a page of its own in the index.
 const MAX_FORGOTTEN: usize = 8;
+const MAX_CHANGED: usize = 250;
+
+/// What the rows of a record take in the file beside it, about: in the index, and of its entity.
+const ROW_BYTES: u64 = 100;
 
 /// How much is kept. `None` is unlimited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Retention {
     /// How long after their arrival snapshots are kept, ns.
     pub age_ns: Option<u64>,
-    /// Most bytes of records and blobs.
+    /// Most bytes of records and blobs, with 100 for each record's rows.
     pub bytes: Option<u64>,
 }
 
@@ -50,9 +55,12 @@ impl LongTermMemory {
         let _alone = self.upkeep.lock();
         let before = retention.age_ns.map_or(0, |age| now_ns.saturating_sub(age));
         let start = self.stats()?;
-        let is_over = |bytes: u64| retention.bytes.is_some_and(|most| bytes > most);
+        let is_over = |bytes: u64, snapshots: u64| {
+            retention.bytes.is_some_and(|most| bytes + snapshots * ROW_BYTES > most)
+        };
         let oldest = self.read(|reader| reader.oldest_chunk())?;
-        let is_due = oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes));
+        let is_due =
+            oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes, start.snapshots));
         let mut left = is_due;
         if is_due {
             let pinned = self.pinned()?;
@@ -64,8 +72,34 @@ impl LongTermMemory {
         Ok(Dropped {
             snapshots: start.snapshots.saturating_sub(end.snapshots),
             bytes: start.bytes.saturating_sub(end.bytes),
-            over: retention.bytes.map_or(0, |most| end.bytes.saturating_sub(most)),
+            over: retention
+                .bytes
+                .map_or(0, |most| (end.bytes + end.snapshots * ROW_BYTES).saturating_sub(most)),
         })
+    }
+
+    /// As [`Self::retain`]; a file that is larger than the limit is brought to three quarters of it, so that it is written anew
+    /// only after as much has come as was forgotten. [`Dropped::over`] is what the file has above the limit.
+    ///
+    /// # Errors
+    /// As [`Self::retain`] and [`Self::compact`].
+    pub fn keep_within(&self, retention: Retention, now_ns: u64) -> Result<Dropped, StoreError> {
+        let start = self.stats()?;
+        let mut dropped = self.retain(retention, now_ns)?;
+        let Some(most) = retention.bytes else { return Ok(dropped) };
+        if self.stats()?.file_bytes > most {
+            self.retain(Retention { bytes: Some(most / 4 * 3), ..retention }, now_ns)?;
+            let kept = self.stats()?;
+            // Without a gain, the file would be written anew every time.
+            if (kept.bytes + kept.snapshots * ROW_BYTES) / 9 * 10 < kept.file_bytes {
+                self.compact()?;
+            }
+        }
+        let end = self.stats()?;
+        dropped.snapshots = start.snapshots.saturating_sub(end.snapshots);
+        dropped.bytes = start.bytes.saturating_sub(end.bytes);
+        dropped.over = end.file_bytes.saturating_sub(most);
+        Ok(dropped)
     }
 }
 
@@ -73,7 +107,7 @@ impl Writer<'_> {
     /// Forgets what may be forgotten of the oldest chunks. Returns whether there may be more of them.
     fn forget_some(
         &mut self,
-        is_over: &impl Fn(u64) -> bool,
+        is_over: &impl Fn(u64, u64) -> bool,
         before: u64,
         pinned: &Pinned,
     ) -> Result<bool, Fault> {
@@ -83,9 +117,12 @@ impl Writer<'_> {
             oldest.push(row?.0.value());
         }
         let is_full = oldest.len() == MAX_FORGOTTEN;
-        let mut thin = BTreeSet::new();
+        let (mut thin, mut changed) = (BTreeSet::new(), BTreeSet::new());
         for (arrived_ns, chunk) in oldest {
-            let over = is_over(self.totals.bytes);
+            if changed.len() >= MAX_CHANGED {
+                return self.thin_out(thin).map(|()| true);
+            }
+            let over = is_over(self.totals.bytes, self.totals.snapshots);
             if !over && arrived_ns >= before {
                 return self.thin_out(thin).map(|()| false);
             }
@@ -96,6 +133,7 @@ impl Writer<'_> {
                 continue;
             }
             for (head, record) in self.take_records(chunk)? {
+                changed.insert(head.number);
                 self.forget_or_move(head, &record, pinned, &mut thin)?;
             }
         }
