@@ -2,7 +2,7 @@
 //!
 //! Processor time of the same run without, with one and with ten readers of its news, in turn; and in Debian's Chromium (with
 //! `ARMARIUM_NODE_MODULES`, as the tests of the page): first paint, the time from an event to what the page shows, images of the world a
-//! second, and how much a tab grows.
+//! second, and how much a tab grows. With `-- --hour` only the growth is measured, in an hour of run.
 
 #![allow(
     clippy::unwrap_used,
@@ -93,10 +93,26 @@ fn median(mut values: Vec<f64>) -> f64 {
 fn main() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("chart.yaml"), CHART).unwrap();
+    let hour = std::env::args().any(|argument| argument == "--hour");
+    if !hour {
+        paired(folder.path());
+    }
+    match std::env::var_os("ARMARIUM_NODE_MODULES").map(PathBuf::from) {
+        // As fast as the machine allows.
+        Some(modules) if hour => browser((folder.path(), &modules), "hour", &["--for", "4000s"]),
+        Some(modules) => browser((folder.path(), &modules), "measure", &["--speed", "1"]),
+        None => {
+            println!("ARMARIUM_NODE_MODULES names no folder with playwright-core: no browser was measured")
+        }
+    }
+}
+
+/// Runs with and without readers, in turn.
+fn paired(folder: &Path) {
     let mut times = [Vec::new(), Vec::new(), Vec::new(), Vec::new()];
     for _ in 0..ROUNDS {
         for (times, readers) in times.iter_mut().zip([None, Some(0), Some(1), Some(10)]) {
-            times.push(run(folder.path(), readers));
+            times.push(run(folder, readers));
         }
     }
     let [bare, rest @ ..] = times;
@@ -108,25 +124,19 @@ fn main() {
         let ratios = times.iter().zip(&bare).map(|(with, without)| with / without).collect();
         println!("with {what}: {:.3} of that", median(ratios));
     }
-    match std::env::var_os("ARMARIUM_NODE_MODULES").map(PathBuf::from) {
-        Some(modules) => browser(folder.path(), &modules),
-        None => {
-            println!("ARMARIUM_NODE_MODULES names no folder with playwright-core: no browser was measured")
-        }
-    }
 }
 
 /// What a browser measures.
-fn browser(folder: &Path, modules: &Path) {
+fn browser((folder, modules): (&Path, &Path), scenario: &str, options: &[&str]) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
-    command.args(["run", "chart.yaml", "--force", "--live-control", "--speed", "1"]).current_dir(folder);
+    command.args(["run", "chart.yaml", "--force", "--live-control"]).args(options).current_dir(folder);
     let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let mut said = BufReader::new(child.stderr.take().unwrap());
     let url = format!("http://{}/", address(&mut said));
     std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/page.mjs");
     let mut node = Command::new("node");
-    node.arg(script).arg(modules).arg("/usr/bin/chromium").arg("measure").arg(url).arg(folder);
+    node.arg(script).arg(modules).arg("/usr/bin/chromium").arg(scenario).arg(url).arg(folder);
     let found = node.output().unwrap();
     print!("{}{}", String::from_utf8_lossy(&found.stdout), String::from_utf8_lossy(&found.stderr));
     child.kill().unwrap();

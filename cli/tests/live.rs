@@ -192,7 +192,7 @@ fn strangers_are_refused_and_harm_nothing() {
         "431"
     );
     // Far more connections than there is room for; afterwards there is room again.
-    let crowd: Vec<_> = (0..600).filter_map(|_| TcpStream::connect(&host).ok()).collect();
+    let crowd: Vec<_> = (0..10_000).filter_map(|_| TcpStream::connect(&host).ok()).collect();
     drop(crowd);
     assert_eq!(status(&act(&token, r#"{"do":"event","name":"enough"}"#)), "200");
     let report = run.report();

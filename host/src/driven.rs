@@ -150,6 +150,13 @@ fn driven(
     (robot, Mover::Driver(Box::new(GuardedDriver::new(guard, driver)), wanted))
 }
 
+impl<D> Witnessed<D> {
+    fn witness(&mut self, timed: &TimedSample) {
+        self.stamp_ns = timed.stamp_ns;
+        self.teller.iter_mut().for_each(|teller| teller.tell(timed));
+    }
+}
+
 impl<D: Driver> Driver for Witnessed<D> {
     fn clock(&self) -> DriverClock {
         self.driver.clock()
@@ -161,8 +168,17 @@ impl<D: Driver> Driver for Witnessed<D> {
 
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let timed = self.driver.sample()?;
-        self.stamp_ns = timed.stamp_ns;
-        self.teller.iter_mut().for_each(|teller| teller.tell(&timed));
+        self.witness(&timed);
+        Ok(timed)
+    }
+
+    fn call_on_arrival(&mut self, call: Box<dyn Fn() + Send + Sync>) -> bool {
+        self.driver.call_on_arrival(call)
+    }
+
+    fn arrived(&mut self) -> Result<Option<TimedSample>, DriverError> {
+        let timed = self.driver.arrived()?;
+        timed.iter().for_each(|timed| self.witness(timed));
         Ok(timed)
     }
 

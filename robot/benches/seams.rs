@@ -106,17 +106,25 @@ impl BarePut {
 
     /// Until it is there, on the thread of the link.
     fn measure(&self) -> Duration {
-        let began = now();
-        self.sender.send(self.payload.clone()).unwrap();
-        self.came.recv().unwrap() - began
+        let (began, came) = self.put();
+        came - began
     }
 
     /// Until somebody has it who waits for it, as a skill does.
     fn measure_awaited(&self) -> Duration {
-        let began = now();
-        self.sender.send(self.payload.clone()).unwrap();
-        self.came.recv().unwrap();
+        let (began, _) = self.put();
         now() - began
+    }
+
+    /// When it was sent and when it came. One that a busy machine has dropped is sent again.
+    fn put(&self) -> (Instant, Instant) {
+        loop {
+            let began = now();
+            self.sender.send(self.payload.clone()).unwrap();
+            if let Ok(came) = self.came.recv_timeout(Duration::from_secs(1)) {
+                return (began, came);
+            }
+        }
     }
 }
 

@@ -50,6 +50,7 @@ pub use model::{
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use seam::{Commander, GuardedRobot, Lease, RemoteRobot, Robot, RobotServer};
+pub use throttled::Throttled;
 pub use wrist::load_mass;
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ const APART: Duration = Duration::from_secs(1);
 
 /// One kind of warning.
 #[derive(Debug, Default)]
-pub(crate) struct Throttled(Mutex<Said>);
+pub struct Throttled(Mutex<Said>);
 
 #[derive(Debug, Default)]
 struct Said {
@@ -22,7 +22,7 @@ struct Said {
 
 impl Throttled {
     /// Says it, or counts it.
-    pub(crate) fn warn(&self, what: impl fmt::Display) {
+    pub fn warn(&self, what: impl fmt::Display) {
         match self.due(Instant::now()) {
             None => {}
             Some(0) => tracing::warn!("{what}"),

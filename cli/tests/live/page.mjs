@@ -24,6 +24,12 @@ const picture = (page, name) => page.screenshot({ path: `${pictures}/${name}.png
 const expect = (holds, what) => { if (!holds) throw new Error(what); };
 const badge = (page) => page.textContent('#badge');
 const ended = (page) => page.waitForFunction(() => !['running', 'paused', 'not connected', '…'].includes(document.getElementById('badge').textContent), null, { timeout: 240000 });
+// What a tab needs, MB, and up to where it knows the run, s.
+async function heap(page) {
+  const client = await page.context().newCDPSession(page);
+  await client.send('HeapProfiler.collectGarbage');
+  return [(await client.send('Runtime.getHeapUsage')).usedSize / 1e6, await page.evaluate(async () => (await import('/run.js')).run.now)];
+}
 
 const scenarios = {
   // To the end, with a reload in the middle and looking back.
@@ -151,11 +157,22 @@ const scenarios = {
       await new Promise((done) => setTimeout(done, 5000));
       return drawn / 5;
     });
-    const heap = async () => { const client = await page.context().newCDPSession(page); await client.send('HeapProfiler.collectGarbage'); return (await client.send('Runtime.getHeapUsage')).usedSize / 1e6; };
-    const [before, from] = [await heap(), await page.evaluate(async () => (await import('/run.js')).run.now)];
+    const [before, from] = await heap(page);
     await page.waitForTimeout(60000);
-    const [after, to] = [await heap(), await page.evaluate(async () => (await import('/run.js')).run.now)];
+    const [after, to] = await heap(page);
     return { first_paint_ms: paint, event_to_shown_ms: { median: flips[20], worst: flips[39] }, images_per_s: images, heap_mb: [before, after], run_s: to - from };
+  },
+  // How much a tab grows in an hour of run, after the first minute, while one view after the other is looked at.
+  async hour() {
+    const page = await open(), views = ['overview', 'chart', 'world', 'time', 'memory', 'report'];
+    const until = async (from, s) => {
+      for (let k = 0; (await heap(page))[1] < from + s; k++) { await page.click(`#tab-${views[k % 6]}`); await page.waitForTimeout(2000); }
+    };
+    await until(0, 60);
+    const [before, from] = await heap(page);
+    await until(from, 3600);
+    const [after, to] = await heap(page);
+    return { heap_mb: [before, after], run_s: to - from };
   },
   // Keyboard, phone, dark, what screen readers need.
   async access() {

@@ -30,6 +30,15 @@ impl<D: Driver> DryDriver<D> {
     pub fn fastest(&self) -> Arc<Mutex<Vec<f64>>> {
         Arc::clone(&self.fastest)
     }
+
+    fn sensed(&mut self, timed: TimedSample) -> TimedSample {
+        self.held.get_or_insert_with(|| JointTargets {
+            position: timed.sample.position.clone(),
+            velocity: vec![0.0; timed.sample.position.len()],
+        });
+        // That nobody drives it is no fault here.
+        TimedSample { braked: false, ..timed }
+    }
 }
 
 impl<D: Driver> Driver for DryDriver<D> {
@@ -47,12 +56,16 @@ impl<D: Driver> Driver for DryDriver<D> {
 
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let timed = self.driver.sample()?;
-        self.held.get_or_insert_with(|| JointTargets {
-            position: timed.sample.position.clone(),
-            velocity: vec![0.0; timed.sample.position.len()],
-        });
-        // That nobody drives it is no fault here.
-        Ok(TimedSample { braked: false, ..timed })
+        Ok(self.sensed(timed))
+    }
+
+    fn call_on_arrival(&mut self, call: Box<dyn Fn() + Send + Sync>) -> bool {
+        self.driver.call_on_arrival(call)
+    }
+
+    fn arrived(&mut self) -> Result<Option<TimedSample>, DriverError> {
+        let timed = self.driver.arrived()?;
+        Ok(timed.map(|timed| self.sensed(timed)))
     }
 
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {

@@ -67,6 +67,18 @@ pub trait Driver: Send {
     /// # Errors
     /// [`DriverError`] when the driver is lost: there will be no further sample.
     fn sample(&mut self) -> Result<TimedSample, DriverError>;
+    /// Asks to be called whenever a sample comes, on the thread that brings it, which must not be held up for long. Returns whether
+    /// this driver does so; otherwise samples are waited for.
+    fn call_on_arrival(&mut self, _call: Box<dyn Fn() + Send + Sync>) -> bool {
+        false
+    }
+    /// The next sample if it has come already.
+    ///
+    /// # Errors
+    /// As [`sample`](Self::sample).
+    fn arrived(&mut self) -> Result<Option<TimedSample>, DriverError> {
+        Ok(None)
+    }
     /// Sets the targets that follow from the last sample.
     ///
     /// # Errors

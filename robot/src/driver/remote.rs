@@ -4,7 +4,8 @@
 //! sample again when it hears nothing; then the same targets are sent again. What comes on its key and is no sample of it is passed
 //! over; if nothing else comes, it is the reason why the driver is lost.
 
-use std::sync::Arc;
+use std::fmt;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use armarium_bus::control::{ControlReader, ControlSender};
@@ -49,10 +50,12 @@ pub struct RemoteDriver {
 }
 
 /// The newest sample that nobody has fetched.
-#[derive(Debug, Default)]
+#[derive(Default)]
 struct Inbox {
     come: Mutex<Come>,
     arrived: Condvar,
+    /// Called at each sample, if somebody asked for it.
+    call: OnceLock<Box<dyn Fn() + Send + Sync>>,
     strangers: Throttled,
 }
 
@@ -61,6 +64,8 @@ struct Come {
     /// Of the driver's start; nothing counts before it is known.
     epoch: Option<u64>,
     newest: Option<WireSample>,
+    /// When the last one came.
+    last: Option<Instant>,
     /// What else has come since the last sample.
     stranger: Option<Stranger>,
 }
@@ -146,7 +151,8 @@ impl RemoteDriver {
             DriverClock::Lockstep => ASKED_AFTER,
             DriverClock::Realtime => LOST_AFTER,
         };
-        let until = Instant::now() + within;
+        let last = self.inbox.come.lock().last;
+        let until = last.unwrap_or_else(Instant::now) + within;
         loop {
             let left = match self.described.clock {
                 DriverClock::Lockstep => within,
@@ -157,22 +163,26 @@ impl RemoteDriver {
                 self.is_there(within)?;
                 continue;
             };
-            if sample.claims > self.described.claims {
-                let reason =
-                    "somebody else has claimed it since, as it had heard no targets for too long".into();
-                return Err(DriverError::Refused { driver: self.name.clone(), reason });
-            }
-            if let Some(reason) = &sample.refused {
-                self.refusals.warn(format_args!("the driver `{}` refused {reason}", self.name));
-            }
-            match self.last {
-                Some((number, _)) if sample.number == number && !self.sent.is_empty() => {
-                    self.targets.send(self.sent.clone()).map_err(|source| self.unreachable(source))?;
-                }
-                Some((number, _)) if sample.number <= number => {}
-                _ => return Ok(sample),
+            if self.is_new(&sample)? {
+                return Ok(sample);
             }
         }
+    }
+
+    /// Whether a sample is a later one than the last. The targets for one that came again are sent again.
+    fn is_new(&mut self, sample: &WireSample) -> Result<bool, DriverError> {
+        if sample.claims > self.described.claims {
+            let reason = "somebody else has claimed it since, as it had heard no targets for too long".into();
+            return Err(DriverError::Refused { driver: self.name.clone(), reason });
+        }
+        if let Some(reason) = &sample.refused {
+            self.refusals.warn(format_args!("the driver `{}` refused {reason}", self.name));
+        }
+        let Some((last, _)) = self.last else { return Ok(true) };
+        if sample.number == last && !self.sent.is_empty() {
+            self.targets.send(self.sent.clone()).map_err(|source| self.unreachable(source))?;
+        }
+        Ok(sample.number > last)
     }
 
     /// Whether a driver that has been silent may be waited for: one in lockstep may compute for long.
@@ -196,27 +206,8 @@ impl RemoteDriver {
         }
     }
 
-    fn unreachable(&self, source: SessionError) -> DriverError {
-        DriverError::Session { driver: self.name.clone(), source }
-    }
-}
-
-impl Driver for RemoteDriver {
-    fn clock(&self) -> DriverClock {
-        self.described.clock
-    }
-
-    fn period(&self) -> Duration {
-        // The rate was checked when the driver was connected to.
-        Duration::from_secs_f64(1.0 / self.described.rate_hz)
-    }
-
-    fn bodies(&self) -> Vec<String> {
-        self.described.bodies.clone()
-    }
-
-    fn sample(&mut self) -> Result<TimedSample, DriverError> {
-        let sample = self.newer()?;
+    /// A new sample in the order of the model.
+    fn taken(&mut self, sample: WireSample) -> Result<TimedSample, DriverError> {
         if let Some((_, before_ns)) = self.last
             && sample.stamp_ns <= before_ns
         {
@@ -242,6 +233,39 @@ impl Driver for RemoteDriver {
         // What is no pose is no body, either.
         let bodies = bodies.filter(|(_, at)| at.to_homogeneous().iter().all(|c| c.is_finite()));
         Ok(TimedSample { stamp_ns, sample, braked, bodies: bodies.collect() })
+    }
+
+    fn unreachable(&self, source: SessionError) -> DriverError {
+        DriverError::Session { driver: self.name.clone(), source }
+    }
+}
+
+impl Driver for RemoteDriver {
+    fn clock(&self) -> DriverClock {
+        self.described.clock
+    }
+
+    fn period(&self) -> Duration {
+        // The rate was checked when the driver was connected to.
+        Duration::from_secs_f64(1.0 / self.described.rate_hz)
+    }
+
+    fn bodies(&self) -> Vec<String> {
+        self.described.bodies.clone()
+    }
+
+    fn sample(&mut self) -> Result<TimedSample, DriverError> {
+        let sample = self.newer()?;
+        self.taken(sample)
+    }
+
+    fn call_on_arrival(&mut self, call: Box<dyn Fn() + Send + Sync>) -> bool {
+        self.described.clock == DriverClock::Realtime && self.inbox.call.set(call).is_ok()
+    }
+
+    fn arrived(&mut self) -> Result<Option<TimedSample>, DriverError> {
+        let Some(sample) = self.inbox.come.lock().newest.take() else { return Ok(None) };
+        if self.is_new(&sample)? { self.taken(sample).map(Some) } else { Ok(None) }
     }
 
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
@@ -272,6 +296,12 @@ impl Drop for RemoteDriver {
     }
 }
 
+impl fmt::Debug for Inbox {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Inbox").field("come", &self.come).finish_non_exhaustive()
+    }
+}
+
 impl Inbox {
     /// A message, on a thread of the link: a sample of the driver replaces what has not been fetched.
     fn offer(&self, message: &Message) {
@@ -280,9 +310,15 @@ impl Inbox {
         let Some(epoch) = come.epoch else { return };
         let stranger = match sample {
             Ok(sample) if sample.epoch == epoch => {
-                (come.newest, come.stranger) = (Some(sample), None);
+                *come = Come {
+                    epoch: Some(epoch),
+                    newest: Some(sample),
+                    last: Some(Instant::now()),
+                    stranger: None,
+                };
                 self.arrived.notify_one();
-                return;
+                drop(come);
+                return self.call.get().into_iter().for_each(|call| call());
             }
             Ok(_) => Stranger::Epoch,
             Err(error) => error.into(),

@@ -126,6 +126,49 @@ fn a_driver_in_lockstep_that_ends_is_lost_with_a_reason() {
     assert!(fault.contains("the driver `sim/arm` has sent no sample"), "{fault}");
 }
 
+/// The guard is stepped by the threads that bring samples, and ends on its own.
+#[test]
+fn a_guard_in_real_time_ends_when_it_is_told_and_when_its_driver_is_lost() {
+    let (network, model) = (Network::new(), model("pillar7"));
+    let mut server = Some(network.serve("arm", &model, DriverClock::Realtime));
+    for lost in [false, true] {
+        let driver = network.connect("arm", &model).unwrap();
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+        let arm = model.arms().next().unwrap();
+        let ends = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&ends);
+        let guarded = GuardedDriver::new(guard, driver).run(move |_, _| !ended.load(Ordering::Relaxed));
+        let guarding = network.threads.spawn(guarded);
+        let ended = network.threads.block_on(async {
+            let mut sensed = robot.sensed();
+            sensed.changed().await.unwrap();
+            let begin = sensed.borrow_and_update().position[arm.joints[0]];
+            let mut lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+            while sensed.borrow_and_update().position[arm.joints[0]] - begin < 0.02 {
+                // On a busy machine a command may come too late.
+                if lease.command(&vec![0.2; arm.joints.len()]).is_err() {
+                    drop(lease);
+                    lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
+                }
+                sensed.changed().await.unwrap();
+            }
+            if lost {
+                server.take();
+            } else {
+                ends.store(true, Ordering::Relaxed);
+            }
+            let ended = guarding.await.unwrap();
+            while sensed.changed().await.is_ok() {}
+            assert!(lease.fault().is_some());
+            ended
+        });
+        match ended {
+            Err(DriverError::Silent { .. }) if lost => {}
+            ended => assert_eq!((ended, lost), (Ok(()), false)),
+        }
+    }
+}
+
 #[test]
 fn a_driver_in_real_time_brakes_when_its_guard_is_silent() {
     let (network, model) = (Network::new(), model("pillar7"));

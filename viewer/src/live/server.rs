@@ -5,6 +5,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_robot::Throttled;
 use http_body_util::combinators::BoxBody;
 use http_body_util::{BodyExt as _, Full, Limited, StreamBody};
 use hyper::body::{Bytes, Frame, Incoming};
@@ -14,11 +15,12 @@ use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Semaphore, broadcast};
+use tokio_io_timeout::TimeoutStream;
 use tokio_rustls::TlsAcceptor;
 
 use super::Action;
 use super::assets::ASSETS;
-use super::requests::{Admission, check_token};
+use super::requests::{Admission, Refusal, check_token};
 use super::runs::ShownRuns;
 use super::shown::PageAnswer;
 use crate::report::scoped_style;
@@ -28,8 +30,10 @@ const MOST_CONNECTIONS: usize = 128;
 /// Most bytes of a request's head, and of what an action says.
 const MOST_HEAD: usize = 16 << 10;
 const MOST_BODY: usize = 64 << 10;
-/// How long the head of a request may take, and an answer that nobody reads.
+/// How long the head of a request may take, and what an action says.
 const HEAD_WITHIN: Duration = Duration::from_secs(10);
+/// How long a connection is kept that takes nothing of its answer.
+const TAKEN_WITHIN: Duration = Duration::from_secs(10);
 /// How often they are told that nothing is.
 const ALIVE: Duration = Duration::from_secs(5);
 /// The headers of every answer.
@@ -55,6 +59,7 @@ struct Shared {
     runs: ShownRuns,
     admission: Admission,
     token: String,
+    refused: Throttled,
 }
 
 /// Answers until it is dropped.
@@ -66,7 +71,7 @@ pub(super) async fn serve(
 ) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
     let Ok(token) = token() else { return };
-    accept(listener, tls, Arc::new(Shared { runs, admission, token })).await;
+    accept(listener, tls, Arc::new(Shared { runs, admission, token, refused: Throttled::default() })).await;
 }
 
 /// A text that nobody can guess.
@@ -84,7 +89,12 @@ async fn accept(listener: tokio::net::TcpListener, tls: Option<TlsAcceptor>, sha
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            shared
+                .refused
+                .warn(format_args!("the live page has {MOST_CONNECTIONS} connections; one more was closed"));
+            continue;
+        };
         let (shared, tls) = (Arc::clone(&shared), tls.clone());
         tokio::spawn(async move {
             match tls {
@@ -101,18 +111,20 @@ async fn accept(listener: tokio::net::TcpListener, tls: Option<TlsAcceptor>, sha
 }
 
 impl Shared {
-    /// Answers the requests of one connection.
-    async fn converse(self: Arc<Self>, stream: impl AsyncRead + AsyncWrite + Unpin) {
+    /// Answers the requests of one connection, until it is closed or too slow.
+    async fn converse(self: Arc<Self>, stream: impl AsyncRead + AsyncWrite) {
+        let mut stream = TimeoutStream::new(stream);
+        stream.set_write_timeout(Some(TAKEN_WITHIN));
         let answering = service_fn(|request| async { Ok::<_, Infallible>(self.answer(request).await) });
         let mut connection = hyper::server::conn::http1::Builder::new();
         connection.timer(TokioTimer::new()).header_read_timeout(HEAD_WITHIN).max_buf_size(MOST_HEAD);
         // A browser that goes away is no error.
-        let _ = connection.serve_connection(TokioIo::new(stream), answering).await.is_ok();
+        let _ = connection.serve_connection(TokioIo::new(Box::pin(stream)), answering).await.is_ok();
     }
 
     async fn answer(&self, request: Request<Incoming>) -> Response<Body> {
         let mut answer = match self.admission.check(request.uri(), request.headers()) {
-            Err(refusal) => plain(StatusCode::FORBIDDEN, refusal.to_string()),
+            Err(refusal) => self.refuse(refusal),
             Ok(Some(cookie)) => welcome(request.uri().path(), &cookie),
             Ok(None) => match *request.method() {
                 Method::GET => self.get(&request).await,
@@ -124,6 +136,11 @@ impl Shared {
             answer.headers_mut().insert(HeaderName::from_static(name), HeaderValue::from_static(value));
         }
         answer
+    }
+
+    fn refuse(&self, refusal: Refusal) -> Response<Body> {
+        self.refused.warn(format_args!("the live page refused a request: {refusal}"));
+        plain(StatusCode::FORBIDDEN, refusal.to_string())
     }
 
     async fn get(&self, request: &Request<Incoming>) -> Response<Body> {
@@ -175,8 +192,7 @@ impl Shared {
             return plain(StatusCode::FORBIDDEN, why.to_owned());
         };
         if let Err(refusal) = check_token(request.headers(), &self.token) {
-            tracing::warn!("a request to act was refused: {refusal}");
-            return plain(StatusCode::FORBIDDEN, refusal.to_string());
+            return self.refuse(refusal);
         }
         let whole =
             tokio::time::timeout(HEAD_WITHIN, Limited::new(request.into_body(), MOST_BODY).collect()).await;
@@ -241,4 +257,54 @@ fn json(text: String) -> Response<Body> {
 
 fn plain(status: StatusCode, text: String) -> Response<Body> {
     body(status, "text/plain; charset=utf-8", Bytes::from(text))
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    use tokio::time::Instant;
+
+    use super::*;
+
+    fn shared() -> Arc<Shared> {
+        let admission = Admission::of("127.0.0.1:8123".parse().unwrap());
+        Arc::new(Shared {
+            runs: ShownRuns::default(),
+            admission,
+            token: "abc".into(),
+            refused: Throttled::default(),
+        })
+    }
+
+    /// How long a connection is kept that sends this and then nothing more, and takes nothing of the answer.
+    async fn kept(sent: &[u8]) -> Duration {
+        let (mut theirs, ours) = tokio::io::duplex(1 << 10);
+        theirs.write_all(sent).await.unwrap();
+        let began = Instant::now();
+        shared().converse(ours).await;
+        began.elapsed()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_is_slow_does_not_keep_its_place() {
+        let soon = TAKEN_WITHIN..TAKEN_WITHIN + Duration::from_secs(2);
+        assert!(soon.contains(&kept(b"").await), "without a request");
+        assert!(soon.contains(&kept(b"GET / HTTP/1.1\r\nHost: 127.0").await), "with half a head");
+        let whole = b"GET /app.js HTTP/1.1\r\nHost: 127.0.0.1:8123\r\n\r\n";
+        assert!(soon.contains(&kept(whole).await), "with an answer that it does not read");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_asks_for_a_web_socket_gets_a_page_and_its_garbage_ends_the_connection() {
+        let (mut theirs, ours) = tokio::io::duplex(1 << 20);
+        let head =
+            b"GET / HTTP/1.1\r\nHost: 127.0.0.1:8123\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n";
+        theirs.write_all(head).await.unwrap();
+        theirs.write_all(&[0x81, 0xff, 0xff, 0xff, 0x00, 0x01, 0xfe].repeat(1000)).await.unwrap();
+        shared().converse(ours).await;
+        let mut answer = Vec::new();
+        theirs.read_to_end(&mut answer).await.unwrap();
+        let answer = String::from_utf8_lossy(&answer);
+        assert!(answer.starts_with("HTTP/1.1 404") && !answer.contains("101 Switching"), "{answer}");
+    }
 }
