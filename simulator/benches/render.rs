@@ -1,5 +1,7 @@
 //! How many pictures of 640 by 480, colour and depth, the renderer draws a second on one core: the default world's table with its
-//! objects and a hand, and the same beside a surface of 50 000 triangles.
+//! objects, and the same beside a surface of 50 000 triangles. The machine's own speed is measured in turn with them, by a loop that
+//! reads and writes as much memory as a picture has: how many of these loops a picture takes says what the code costs, on a slow
+//! day too.
 
 #![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![expect(clippy::print_stdout, reason = "a bench measures time and prints it")]
@@ -14,19 +16,58 @@ use armarium_simulator::render::{Bump, DirtTexture, Shape, Viewpoint, VisibleFor
 use armarium_visionx::PinholeCamera;
 use nalgebra::{Isometry3, Point3, Vector3};
 
+/// Each is measured so many times, in turn.
+const ROUNDS: usize = 15;
+/// Pictures with the fine surface in one measurement.
+const PICTURES: u32 = 12;
+
 fn main() {
     let camera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [320.0, 240.0] };
     let eye = Viewpoint::look_at(camera, Vector3::new(0.0, -0.1, 1.6), Vector3::new(0.25, 0.6, 0.95));
     let mut kitchen = VisibleScene::new(robot());
     kitchen.shapes.extend([table(), thing(0.35, 0.5), thing(0.1, 0.7)]);
-    let pictures = |scene: &VisibleScene, count: u32| {
-        let start = Instant::now();
-        (0..count).for_each(|_| drop(black_box(render(black_box(scene), &eye))));
-        f64::from(count) / start.elapsed().as_secs_f64()
+    let mut both = kitchen.clone();
+    both.shapes.push(ball(50_000));
+    let mut seconds = [const { Vec::new() }; 3];
+    for _ in 0..ROUNDS {
+        seconds[0].push(timed(3 * PICTURES, reference));
+        seconds[1].push(timed(3 * PICTURES, || drop(black_box(render(black_box(&kitchen), &eye)))));
+        seconds[2].push(timed(PICTURES, || drop(black_box(render(black_box(&both), &eye)))));
+    }
+    let [reference, kitchen, both] = seconds.map(median);
+    let line = |name, picture: f64| {
+        println!(
+            "{:4.0} pictures/s of {name}, {:.1} reference loops each",
+            1.0 / picture,
+            picture / reference
+        );
     };
-    println!("{:.0} pictures/s of the kitchen", pictures(&kitchen, 600));
-    kitchen.shapes.push(ball(50_000));
-    println!("{:.0} pictures/s with 50 000 triangles more", pictures(&kitchen, 200));
+    line("the kitchen", kitchen);
+    line("the kitchen with 50 000 triangles", both);
+    println!("{:4.0} reference loops/s", 1.0 / reference);
+}
+
+/// The time that one of some calls takes, s.
+fn timed(calls: u32, mut call: impl FnMut()) -> f64 {
+    let start = Instant::now();
+    (0..calls).for_each(|_| call());
+    start.elapsed().as_secs_f64() / f64::from(calls)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Fills the memory of a picture's colours and depths, and reads it.
+fn reference() {
+    let mut memory = vec![1u8; 640 * 480 * 7];
+    let mut last = 0u8;
+    for byte in &mut memory {
+        last = last.wrapping_mul(5).wrapping_add(*byte);
+        *byte = last;
+    }
+    black_box(memory);
 }
 
 fn robot() -> Vec<Shape> {

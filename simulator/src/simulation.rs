@@ -15,7 +15,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::cameras::{
-    AgentEyes, Drawing, Eyes, RobotState, SceneShapes, SceneState, Scenery, ScenerySink, SimulatedCameras,
+    AgentEyes, Drawing, Eyes, Moment, RobotState, SceneShapes, SceneState, Scenery, ScenerySink,
+    SimulatedCameras,
 };
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
@@ -124,6 +125,8 @@ pub struct Simulation {
     coach: Coach,
     people: Vec<Person>,
     drawing: Drawing,
+    /// Where everything was in the step before a frame.
+    before: Option<Moment>,
     agents: Vec<AgentEyes>,
     referee: Referee,
     sinks: Vec<Box<dyn TruthSink>>,
@@ -160,7 +163,7 @@ impl Simulation {
         let plant = Plant::new(world, starts.clone())?;
         let mut drawing = Drawing::new(world, &starts, plant.table(), seed);
         drawing.update(&[RobotState { truth: &starts[0].true_position(), sensed: &starts[0].position }]);
-        let camera = drawing.link(0, model.camera().map(|camera| camera.left)).translation.vector.into();
+        let camera = drawing.links(0, model.camera().map(|camera| camera.left))[1].translation.vector.into();
         let mut limits = options.guard;
         let mut robots = Vec::new();
         for ((i, start), spec) in
@@ -204,6 +207,7 @@ impl Simulation {
             agents: agents.collect(),
             robots,
             drawing,
+            before: None,
             referee: Referee::new(world),
             sinks: options.truth_sinks,
             scenery: options.scenery,
@@ -322,6 +326,7 @@ impl Simulation {
         self.move_people(t);
         self.publish_truth(stamp_ns);
         self.draw_frames(stamp_ns, t);
+        self.before = self.moment();
         self.robots.iter_mut().for_each(|robot| robot.eyes.deliver(stamp_ns));
         self.agents.iter_mut().for_each(|agent| agent.deliver(stamp_ns));
         if self.steps.is_multiple_of(WIPE_EVERY) {
@@ -445,6 +450,22 @@ impl Simulation {
         }
     }
 
+    /// Where everything is, if a frame will be due in the next step.
+    fn moment(&self) -> Option<Moment> {
+        let next = (self.steps + 1) as f64 * 1e-3;
+        let own = self.robots.iter().any(|robot| robot.eyes.will_be_due(next));
+        if !own && !self.agents.iter().any(|agent| agent.will_be_due(next)) {
+            return None;
+        }
+        Some(Moment {
+            robots: (0..self.robots.len()).map(|robot| self.plant.position(robot).to_vec()).collect(),
+            objects: self.truth.objects.clone(),
+            people: (0..self.people.len()).map(|person| self.plant.person(person)).collect(),
+            tool: self.truth.coach.tool,
+            hand: self.truth.coach.hand.map(|hand| hand.root_from_hand),
+        })
+    }
+
     /// Draws the frames that are due and wanted: the robot's and those of other agents.
     fn draw_frames(&mut self, stamp_ns: u64, t: f64) {
         let elsewhere = self.scenery.as_ref().is_some_and(|scenery| scenery.is_wanted());
@@ -463,6 +484,7 @@ impl Simulation {
             .collect();
         let view = SceneState {
             exposed_ns: stamp_ns,
+            before: self.before.as_ref(),
             robots: &robots,
             objects: &objects,
             people: &people,

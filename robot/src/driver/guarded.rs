@@ -75,10 +75,10 @@ impl GuardedDriver {
         mut self,
         mut after: impl FnMut(u64, Vec<String>) -> bool + Send + 'static,
     ) -> Result<(), DriverError> {
-        let arrives = Arc::new(Arrives::default());
-        let arrived = Arc::downgrade(&arrives);
-        if self.driver.call_on_arrival(Box::new(move || Arrives::step(&arrived))) {
-            return arrives.run(Stepped { guarded: self, after: Box::new(after), steps: 0, ended: None });
+        let on_arrival = Arc::new(OnArrival::default());
+        let arrived = Arc::downgrade(&on_arrival);
+        if self.driver.call_on_arrival(Box::new(move || OnArrival::step(&arrived))) {
+            return on_arrival.run(Stepped { guarded: self, after: Box::new(after), steps: 0, ended: None });
         }
         loop {
             match self.step() {
@@ -124,7 +124,7 @@ impl GuardedDriver {
 /// A guard that is stepped where samples arrive, from when on its thread has put it here until it takes it out: a driver never ends on
 /// a thread of its link.
 #[derive(Default)]
-struct Arrives {
+struct OnArrival {
     stepped: Mutex<Option<Stepped>>,
     ended: Condvar,
 }
@@ -136,15 +136,15 @@ struct Stepped {
     ended: Option<Result<u64, DriverError>>,
 }
 
-impl Arrives {
+impl OnArrival {
     /// On the thread that brings a sample. While the guard's own thread looks after it, that one takes the sample.
     fn step(arrived: &Weak<Self>) {
-        let Some(arrives) = arrived.upgrade() else { return };
-        let Some(mut stepped) = arrives.stepped.try_lock() else { return };
+        let Some(on_arrival) = arrived.upgrade() else { return };
+        let Some(mut stepped) = on_arrival.stepped.try_lock() else { return };
         let Some(stepped) = stepped.as_mut() else { return };
         stepped.take_arrived();
         if stepped.ended.is_some() {
-            arrives.ended.notify_one();
+            on_arrival.ended.notify_one();
         }
     }
 

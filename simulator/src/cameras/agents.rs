@@ -10,7 +10,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{SimulatedCameras, StereoRig};
-use crate::render::{SensorNoise, VisibleScene, render_pair};
+use crate::render::{Motion, SensorNoise, VisibleScene, render_pair};
 use crate::world::{AgentSpec, CameraSpec};
 
 /// The stereo pair of one agent.
@@ -57,6 +57,11 @@ impl AgentEyes {
         self.rig.is_due(t) && self.rig.source.wanted()
     }
 
+    /// Whether a frame will be due at `t` s.
+    pub(crate) fn will_be_due(&self, t: f64) -> bool {
+        self.rig.will_be_due(t)
+    }
+
     /// Publishes the frames that have arrived by `now_ns`.
     pub(crate) fn deliver(&mut self, now_ns: u64) {
         self.rig.deliver(now_ns);
@@ -64,7 +69,7 @@ impl AgentEyes {
 
     /// Draws a frame of a scene and publishes it.
     pub(crate) fn draw(&mut self, scene: &VisibleScene, exposed_ns: u64) {
-        let drawn = render_pair(scene, &self.rig.left_and_right(self.scene_from_left));
+        let drawn = render_pair(scene, &self.rig.left_and_right((self.scene_from_left, Motion::default())));
         let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;
         let stamp_ns = self.rig.stamp(exposed_ns);

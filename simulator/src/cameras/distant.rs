@@ -10,7 +10,7 @@ use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::{Drawing, Eyes, RobotState, SceneState};
+use super::{Drawing, Eyes, Moment, RobotState, SceneState};
 use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
 use crate::start;
@@ -26,6 +26,9 @@ pub struct Scenery {
     pub frame: u64,
     /// Time of the exposure, ns.
     pub exposed_ns: u64,
+    /// Where everything was shortly before; without it, nothing is blurred.
+    #[serde(default)]
+    pub before: Option<Moment>,
     /// True joint positions of the robot whose cameras they are, rad (m), in the model's order.
     pub true_position: Vec<f64>,
     /// Joint positions as it senses them.
@@ -98,6 +101,7 @@ impl Scenery {
             world: world.clone(),
             frame,
             exposed_ns: view.exposed_ns,
+            before: view.before.cloned(),
             true_position: view.robots[0].truth.to_vec(),
             sensed_position: view.robots[0].sensed.to_vec(),
             others: view.robots[1..].iter().map(|robot| robot.truth.to_vec()).collect(),
@@ -154,6 +158,7 @@ impl DistantCameras {
             world: self.world.clone(),
             frame,
             exposed_ns: stamp_ns,
+            before: None,
             true_position: position.to_vec(),
             sensed_position: position.to_vec(),
             others: Vec::new(),
@@ -199,7 +204,14 @@ impl DistantCameras {
             .chain(scenery.hand.iter().map(|(pose, _)| pose));
         let finite = poses.copied().all(|pose| pose.to_homogeneous().iter().all(|v| v.is_finite()));
         let people = scenery.people.iter().map(Vec::len).eq(self.drawing.people());
-        if !joints || !finite || !people || scenery.objects.len() != self.drawing.bodies() {
+        let then = scenery.before.as_ref().is_none_or(|before| {
+            let robots = before.robots.iter().zip(self.drawing.joints());
+            before.robots.len() == self.drawing.joints().count()
+                && robots.into_iter().all(|(q, joints)| fits(q, joints))
+                && before.objects.len() == scenery.objects.len()
+                && before.people.iter().map(Vec::len).eq(self.drawing.people())
+        });
+        if !joints || !then || !finite || !people || scenery.objects.len() != self.drawing.bodies() {
             return Err(SceneryError::Shape);
         }
         self.wiped.mark_cells(&scenery.wiped);
@@ -216,6 +228,7 @@ impl DistantCameras {
         let robots: Vec<_> = [own].into_iter().chain(others).collect();
         let view = SceneState {
             exposed_ns: scenery.exposed_ns,
+            before: scenery.before.as_ref(),
             robots: &robots,
             objects: &scenery.objects,
             people: &scenery.people,
@@ -278,6 +291,9 @@ mod tests {
         let other = Scenery { world: ("elsewhere".into(), 5), ..shown.clone() };
         assert!(matches!(cameras.draw(&other), Err(SceneryError::World { .. })));
         let short = Scenery { true_position: vec![0.0], ..shown.clone() };
+        assert_eq!(cameras.draw(&short), Err(SceneryError::Shape));
+        let moment = shown.before.clone().map(|before| Moment { objects: Vec::new(), ..before });
+        let short = Scenery { before: moment, ..shown.clone() };
         assert_eq!(cameras.draw(&short), Err(SceneryError::Shape));
         let wild = Scenery { wiped: vec![u32::MAX], ..shown };
         assert!(cameras.draw(&wild).is_ok());

@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use armarium_robot::{Kinematics, LinkId, Visual};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::NO_CAMERA;
 use crate::coach::CoachState;
 use crate::person;
 use crate::render::hand::{HandPose, hand_shapes};
 use crate::render::robot::{link_shapes, robot_shapes};
-use crate::render::{Bump, DirtTexture, Shape, VisibleForm, VisibleScene};
+use crate::render::{Bump, DirtTexture, Motion, Shape, VisibleForm, VisibleScene};
 use crate::start::{self, RobotStart};
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::world::{CoverSpec, World};
@@ -32,9 +33,29 @@ pub(crate) struct RobotState<'a> {
     pub(crate) sensed: &'a [f64],
 }
 
+/// Where everything was that moves, [`SINCE_MOMENT`] before a frame: how it moves follows from that.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Moment {
+    /// True joint positions of the robots, rad (m), in the world's order.
+    pub robots: Vec<Vec<f64>>,
+    /// Poses of the bodies.
+    pub objects: Vec<Isometry3<f64>>,
+    /// Poses of the parts of all people.
+    pub people: Vec<Vec<Isometry3<f64>>>,
+    /// Pose of the coach's tool while it was shown.
+    pub tool: Option<Isometry3<f64>>,
+    /// Pose of the coach's hand while it was shown.
+    pub hand: Option<Isometry3<f64>>,
+}
+
+/// Time between a [`Moment`] and its frame, s.
+pub(crate) const SINCE_MOMENT: f64 = 1e-3;
+
 /// The state of the scene at one frame.
 pub(crate) struct SceneState<'a> {
     pub(crate) exposed_ns: u64,
+    /// Where everything was shortly before; `None` where that is not known, and nothing is blurred.
+    pub(crate) before: Option<&'a Moment>,
     /// The robots, in the world's order.
     pub(crate) robots: &'a [RobotState<'a>],
     /// Poses of all bodies.
@@ -45,6 +66,14 @@ pub(crate) struct SceneState<'a> {
     /// Time since the last hand was visible, s.
     pub(crate) without_hand_s: f64,
     pub(crate) wiped: &'a DirtGrid,
+}
+
+/// Where what moves is, but for the robots.
+struct Places<'a> {
+    objects: &'a [Isometry3<f64>],
+    people: &'a [Vec<Isometry3<f64>>],
+    tool: Option<Isometry3<f64>>,
+    hand: Option<(HandPose, Isometry3<f64>)>,
 }
 
 /// The shapes of what is not a robot, for viewers.
@@ -62,6 +91,10 @@ pub struct SceneShapes {
 pub(crate) struct Drawing {
     /// The robots, and where their roots are in the scene.
     robots: Vec<(Kinematics, Isometry3<f64>)>,
+    /// The robots as they were shortly before.
+    before: Vec<Kinematics>,
+    /// How long the shutter is open, over [`SINCE_MOMENT`].
+    exposure: f64,
     fixed: Vec<Shape>,
     table_half: Vector3<f64>,
     table_pose: Isometry3<f64>,
@@ -78,9 +111,11 @@ impl Drawing {
     /// The things of a world; `seed` determines where the table is dirty.
     pub(crate) fn new(world: &World, robots: &[RobotStart], table: &TableTop, seed: u64) -> Self {
         let [hx, hy] = table.half();
-        let robots = robots.iter().map(|robot| (Kinematics::new(&robot.model), robot.room_from_root));
+        let kinematics = |robot: &RobotStart| Kinematics::new(&robot.model);
         Self {
-            robots: robots.collect(),
+            robots: robots.iter().map(|robot| (kinematics(robot), robot.room_from_root)).collect(),
+            before: robots.iter().map(kinematics).collect(),
+            exposure: world.camera.exposure / SINCE_MOMENT,
             fixed: legs(table).into_iter().chain(world.covers.iter().map(board)).collect(),
             table_half: Vector3::new(hx, hy, THICKNESS / 2.0),
             table_pose: table.root_from_top() * Translation3::new(0.0, 0.0, -THICKNESS / 2.0),
@@ -122,11 +157,18 @@ impl Drawing {
         self.robots.iter().map(|(kinematics, _)| kinematics.model().joints().len())
     }
 
-    /// Pose of a robot's link in the scene that was built last; for none, a place where a head might be.
-    pub(crate) fn link(&self, robot: usize, link: Option<LinkId>) -> Isometry3<f64> {
+    /// How long the shutter is open, over [`SINCE_MOMENT`].
+    pub(crate) fn exposure(&self) -> f64 {
+        self.exposure
+    }
+
+    /// Pose of a robot's link shortly before the scene that was built last, and in it; for none, a place where a head might be.
+    pub(crate) fn links(&self, robot: usize, link: Option<LinkId>) -> [Isometry3<f64>; 2] {
         let (kinematics, scene_from_root) = &self.robots[robot];
-        let pose = link.map_or_else(|| Translation3::from(NO_CAMERA).into(), |link| *kinematics.pose(link));
-        scene_from_root * pose
+        [&self.before[robot], kinematics].map(|kinematics| {
+            let nowhere = || Translation3::from(NO_CAMERA).into();
+            scene_from_root * link.map_or_else(nowhere, |link| *kinematics.pose(link))
+        })
     }
 
     /// Moves the robots to where they are.
@@ -136,12 +178,39 @@ impl Drawing {
         }
     }
 
-    /// All shapes at one instant.
+    /// All shapes at one instant, and how they move.
     pub(crate) fn scene(&mut self, view: &SceneState<'_>) -> VisibleScene {
         self.update(view.robots);
         self.clean(view.wiped);
+        for (n, (kinematics, state)) in self.before.iter_mut().zip(view.robots).enumerate() {
+            kinematics.update(view.before.map_or(state.truth, |before| &before.robots[n]));
+        }
+        let hand = view.coach.hand.map(|hand| (HandPose::of(hand.gesture), hand.root_from_hand));
+        let now = Places { objects: view.objects, people: view.people, tool: view.coach.tool, hand };
+        let robots = self.robots.iter().map(|(kinematics, _)| kinematics);
+        let mut scene = VisibleScene::new(self.shapes_at(robots, &now));
+        if let Some(before) = view.before.filter(|_| self.exposure > 0.0) {
+            // What has just come does not move.
+            let then = Places {
+                objects: &before.objects,
+                people: &before.people,
+                tool: now.tool.map(|now| before.tool.unwrap_or(now)),
+                hand: now.hand.map(|(posture, now)| (posture, before.hand.unwrap_or(now))),
+            };
+            let shapes = self.shapes_at(self.before.iter(), &then);
+            let poses = shapes.iter().zip(&scene.shapes);
+            let motion = |(then, now): (&Shape, &Shape)| {
+                Motion::between(&then.scene_from_shape, &now.scene_from_shape, self.exposure)
+            };
+            scene.motions = poses.map(motion).collect();
+        }
+        scene
+    }
+
+    /// All shapes, with robots and what else moves at these places.
+    fn shapes_at<'a>(&self, robots: impl Iterator<Item = &'a Kinematics>, places: &Places<'_>) -> Vec<Shape> {
         let mut shapes: Vec<Shape> = Vec::new();
-        for (kinematics, scene_from_root) in &self.robots {
+        for (kinematics, (_, scene_from_root)) in robots.zip(&self.robots) {
             shapes.extend(robot_shapes(kinematics, scene_from_root));
         }
         shapes.extend(self.fixed.iter().cloned());
@@ -154,20 +223,20 @@ impl Drawing {
             scene_from_shape: self.table_pose,
             color: self.table_color,
         });
-        for (parts, pose) in self.objects.iter().zip(view.objects) {
+        for (parts, pose) in self.objects.iter().zip(places.objects) {
             shapes.extend(link_shapes(parts, pose));
         }
-        for (parts, poses) in self.people.iter().zip(view.people) {
+        for (parts, poses) in self.people.iter().zip(places.people) {
             let parts = parts.iter().zip(poses);
             shapes.extend(parts.flat_map(|(part, pose)| link_shapes(std::slice::from_ref(part), pose)));
         }
-        if let Some(pose) = &view.coach.tool {
+        if let Some(pose) = &places.tool {
             shapes.extend(tool(pose, self.tool_color));
         }
-        if let Some(hand) = &view.coach.hand {
-            shapes.extend(hand_shapes(&HandPose::of(hand.gesture), &hand.root_from_hand));
+        if let Some((posture, root_from_hand)) = &places.hand {
+            shapes.extend(hand_shapes(posture, root_from_hand));
         }
-        VisibleScene::new(shapes)
+        shapes
     }
 
     /// Removes the dirt where the table has been wiped.

@@ -105,7 +105,7 @@ fn watch(world: &World, seed: u64) -> Score {
     let mut drawing = Drawing::new(world, &robots, &table, seed);
     let mut wiper = Wiper::new(&model, &robots[0].arm);
     drawing.update(&[RobotState { truth: &wiper.q, sensed: &wiper.q }]);
-    let camera = drawing.link(0, eyes.left).translation.vector.into();
+    let camera = drawing.links(0, eyes.left)[1].translation.vector.into();
     let rng = ChaCha8Rng::seed_from_u64(seed);
     let mut coach = Coach::new(&world.coach, world.table.height, (camera, 1.0), rng);
     let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
@@ -132,6 +132,7 @@ fn watch(world: &World, seed: u64) -> Score {
             continue;
         }
         let view = SceneState {
+            before: None,
             exposed_ns: step * 5_000_000,
             robots: &[RobotState { truth: &wiper.q, sensed: &wiper.q }],
             objects: &[tcp * Isometry3::from_parts(world.grasp_in_tcp().into(), UnitQuaternion::identity())],

@@ -26,13 +26,14 @@ use rand_distr::StandardNormal;
 use crate::coach::HandShown;
 use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
-    DepthSensor, Rendering, SensorNoise, Shape, Viewpoint, VisibleScene, depth_of_shapes, render_pair,
+    DepthSensor, Motion, Rendering, SensorNoise, Shape, Viewpoint, VisibleScene, depth_of_shapes, render_pair,
 };
 use crate::start::RobotStart;
 use crate::truth::FrameTruth;
 use crate::world::{CameraSpec, ImageFault, World};
 
 pub(crate) use agents::AgentEyes;
+pub use drawing::Moment;
 pub(crate) use drawing::{Drawing, RobotState, SceneState};
 
 pub use distant::{DistantCameras, Scenery, SceneryError, ScenerySink};
@@ -205,18 +206,23 @@ impl StereoRig {
         }
     }
 
+    /// Whether a frame will be due at `t` s.
+    fn will_be_due(&self, t: f64) -> bool {
+        t + 1e-9 >= self.next_frame as f64 * self.period_s
+    }
+
     /// Whether a frame is due at `t` s; it is so once.
     fn is_due(&mut self, t: f64) -> bool {
-        let due = t + 1e-9 >= self.next_frame as f64 * self.period_s;
+        let due = self.will_be_due(t);
         if due {
             self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
         }
         due
     }
 
-    fn left_and_right(&self, scene_from_left: Isometry3<f64>) -> [Viewpoint; 2] {
+    fn left_and_right(&self, (scene_from_left, motion): (Isometry3<f64>, Motion)) -> [Viewpoint; 2] {
         let StereoCalibration { camera, baseline } = self.source.calibration;
-        let left = Viewpoint { scene_from_camera: scene_from_left, camera };
+        let left = Viewpoint { scene_from_camera: scene_from_left, motion, camera };
         [left, left.shifted_right(baseline)]
     }
 
@@ -290,6 +296,11 @@ impl Eyes {
         self.rig.is_due(t) && self.left.is_some() && (elsewhere || self.rig.source.wanted())
     }
 
+    /// Whether a frame will be due at `t` s.
+    pub(crate) fn will_be_due(&self, t: f64) -> bool {
+        self.rig.will_be_due(t)
+    }
+
     /// Draws a frame of a scene and publishes it. Returns the truth about it.
     pub(crate) fn draw(
         &mut self,
@@ -321,8 +332,10 @@ impl Eyes {
         scene: &VisibleScene,
         view: &SceneState<'_>,
     ) -> ([Rendering; 2], FrameTruth) {
-        let true_left = drawing.link(self.robot, self.left);
-        let [left, right] = self.rig.left_and_right(true_left * self.believed_from_true);
+        let [before, true_left] =
+            drawing.links(self.robot, self.left).map(|left| left * self.believed_from_true);
+        let motion = Motion::between(&before, &true_left, drawing.exposure());
+        let [left, right] = self.rig.left_and_right((true_left, motion));
         let drawn = render_pair(scene, &[left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
             let alone = VisibleScene::new(skin(&hand));

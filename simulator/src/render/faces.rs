@@ -3,7 +3,7 @@
 use armarium_robot::Mesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::raster::{Bounds, Canvas, Colors, Form, Lanes, Line, ScanLine, Span, lanes, nearest};
+use super::raster::{Bounds, Canvas, Color, Colors, Form, Lanes, Line, ScanLine, Span};
 use super::scene::Background;
 use super::shading::{Light, MOTTLING, Shades};
 
@@ -54,25 +54,22 @@ impl Local {
 }
 
 impl LocalRun {
-    /// Coordinate `axis` (0 to 2) of the point at depth `t`, `k` pixels after the first.
+    /// Coordinate `axis` (0 to 2) of the points at depths `t`, `k` pixels after the first.
     #[inline(always)]
-    pub(super) fn at(&self, axis: usize, k: f32, t: f32) -> f32 {
-        self.eye[axis] + t * self.along[axis].at(k)
+    pub(super) fn at(&self, axis: usize, k: Lanes, t: Lanes) -> Lanes {
+        t * self.along[axis].at(k) + self.eye[axis]
     }
 
-    /// Two coordinates of the points of the chunk that begins `k` pixels after the first, from their inverse depths.
+    /// Two coordinates of the points `k` pixels after the first, from their inverse depths.
     #[inline(always)]
-    pub(super) fn lanes(&self, axes: [usize; 2], k: f32, near: &Lanes) -> [Lanes; 2] {
-        let depth = lanes(|i| 1.0 / near[i]);
-        axes.map(|axis| {
-            let along = self.along[axis].lanes(k);
-            lanes(|i| self.eye[axis] + depth[i] * along[i])
-        })
+    pub(super) fn points(&self, axes: [usize; 2], k: Lanes, near: Lanes) -> [Lanes; 2] {
+        let depth = Lanes::ONE / near;
+        axes.map(|axis| self.at(axis, k, depth))
     }
 
-    /// The depth at which the ray has coordinate 2 equal to `z`.
+    /// The depths at which the rays have coordinate 2 equal to `z`.
     #[inline(always)]
-    pub(super) fn depth_of_height(&self, k: f32, z: f32) -> f32 {
+    pub(super) fn depth_of_height(&self, k: Lanes, z: Lanes) -> Lanes {
         (z - self.eye[2]) / self.along[2].at(k)
     }
 }
@@ -142,13 +139,13 @@ impl<const N: usize> Face<N> {
     }
 
     /// Draws the face in one colour.
-    pub(super) fn draw_plain(&self, canvas: &mut Canvas, color: [u8; 3]) {
-        self.draw(canvas, |_, _| move |_, _: &Lanes| lanes(|_| color));
+    pub(super) fn draw_plain(&self, canvas: &mut Canvas, color: Color) {
+        self.draw(canvas, |_, _| move |_, _| [color; _]);
     }
 
     /// Draws the face. `paint` makes the colouring function for a row's run of pixels, chunk by chunk, from the row and the
     /// first column.
-    pub(super) fn draw<P: Fn(f32, &Lanes) -> Colors>(
+    pub(super) fn draw<P: Fn(Lanes, Lanes) -> Colors>(
         &self,
         canvas: &mut Canvas,
         paint: impl Fn(&ScanLine, usize) -> P,
@@ -158,21 +155,8 @@ impl<const N: usize> Face<N> {
         }
     }
 
-    /// Draws the part of the face within a narrow rectangle, in one colour.
-    fn draw_dots(&self, canvas: &mut Canvas, bounds: Bounds, color: [u8; 3]) {
-        let edges = self.edges();
-        for row in canvas.rows(bounds) {
-            let (edges, near) = (edges.each_ref().map(|edge| row.form(edge)), self.nearness(&row));
-            for u in bounds.each_column() {
-                if edges.iter().all(|edge| edge.at(u) >= 0.0) {
-                    canvas.dot(row.v, u, near.at(u) as f32, color);
-                }
-            }
-        }
-    }
-
     /// Draws the part of the face within a rectangle.
-    fn draw_within<P: Fn(f32, &Lanes) -> Colors>(
+    fn draw_within<P: Fn(Lanes, Lanes) -> Colors>(
         &self,
         canvas: &mut Canvas,
         bounds: Bounds,
@@ -184,7 +168,7 @@ impl<const N: usize> Face<N> {
             let Some(run) = span.pixels() else { continue };
             let near = self.nearness(&row).line(run.0);
             let paint = paint(&row, run.0);
-            canvas.fill_lanes(row.v, run, |k| near.at(k), paint);
+            canvas.fill(row.v, run, |k| (near.at(k), Lanes::ZERO), |k, near, _| paint(k, near));
         }
     }
 }
@@ -216,22 +200,47 @@ pub(super) fn mesh(
     light: Light,
     shades: &Shades,
 ) {
-    let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|v| camera_from_mesh * v).collect();
-    let pixels: Vec<[f64; 2]> = vertices.iter().map(|vertex| canvas.project(vertex)).collect();
+    let turn = camera_from_mesh.rotation.to_rotation_matrix();
+    let shift = camera_from_mesh.translation;
+    let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|v| shift * (turn * v)).collect();
+    let pixels: Vec<[f64; 3]> = vertices.iter().map(|vertex| canvas.project(vertex)).collect();
     for triangle in mesh.triangles() {
         let corners = triangle.map(|index| pixels[index as usize]);
-        // Most triangles of a fine mesh lie between the centres of pixels.
-        let bounds = match corners.as_flattened().iter().any(|c| c.is_nan()) {
-            false => canvas.between(corners),
+        let too_near = corners.iter().any(|[_, _, nearness]| nearness.is_nan());
+        let bounds = match too_near {
+            false => canvas.between(corners.map(|[u, v, _]| [u, v])),
             true => canvas.hull(&triangle.map(|index| vertices[index as usize])),
         };
+        // Most triangles of a fine mesh lie between the centres of pixels.
         let Some(bounds) = bounds else { continue };
-        if let Some(face) = Face::of_triangle(triangle.map(|index| vertices[index as usize])) {
+        let face = || Face::of_triangle(triangle.map(|index| vertices[index as usize]));
+        if bounds.is_narrow() && !too_near {
+            dots(canvas, bounds, corners, || face().map(|face| shades.at(face.brightness(light))));
+        } else if let Some(face) = face() {
             let color = shades.at(face.brightness(light));
-            if bounds.is_narrow() {
-                face.draw_dots(canvas, bounds, color);
-            } else {
-                face.draw_within(canvas, bounds, |_, _| move |_, _: &Lanes| lanes(|_| color));
+            face.draw_within(canvas, bounds, |_, _| move |_, _| [color; _]);
+        }
+    }
+}
+
+/// Draws a triangle within a narrow rectangle, pixel by pixel: its corners as column, row and 1/depth, which is linear between
+/// them. Its colour is looked for where it is to be seen.
+fn dots(canvas: &mut Canvas, bounds: Bounds, [a, b, c]: [[f64; 3]; 3], color: impl Fn() -> Option<Color>) {
+    let (ab, ac) = ([b[0] - a[0], b[1] - a[1], b[2] - a[2]], [c[0] - a[0], c[1] - a[1], c[2] - a[2]]);
+    let per_area = 1.0 / (ab[0] * ac[1] - ab[1] * ac[0]);
+    let mut found = None;
+    for (v, below_a) in bounds.each_row(a[1]) {
+        for (u, beside_a) in bounds.each_column(a[0]) {
+            // The shares of b and c; neither is a number where the triangle is a line.
+            let of_b = (beside_a * ac[1] - below_a * ac[0]) * per_area;
+            let of_c = (ab[0] * below_a - ab[1] * beside_a) * per_area;
+            if of_b >= 0.0 && of_c >= 0.0 && of_b + of_c <= 1.0 {
+                let near = (a[2] + of_b * ab[2] + of_c * ac[2]) as f32;
+                if canvas.is_nearer(v, u, near) {
+                    let Some(color) = found.or_else(&color) else { return };
+                    found = Some(color);
+                    canvas.dot(v, u, near, color);
+                }
             }
         }
     }
@@ -250,7 +259,7 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
         if side == (2, -1.0) {
             face.draw(canvas, |row, first| {
                 let (local, floor) = (local.run(row, first), &floor);
-                move |k, near| floor_tiles(floor, local.lanes([0, 1], k, near))
+                move |k, near| floor_tiles(floor, local.points([0, 1], k, near))
             });
         } else {
             // Walls differ slightly in brightness, so that the room's edges are visible.
@@ -258,9 +267,10 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
             face.draw(canvas, |row, first| {
                 let (local, wall) = (local.run(row, first), &wall);
                 move |k, near| {
-                    let [x, y] = local.lanes(across, k, near);
-                    let mottle = MOTTLING.lanes(&x.map(|x| x * 60.0 + 8192.0), &y.map(|y| y * 60.0 + 8192.0));
-                    wall.lanes(&mottle.map(|mottle| base + 0.5 * ROOM_MOTTLING * mottle))
+                    let [x, y] = local.points(across, k, near);
+                    wall.lanes(
+                        MOTTLING.lanes(x * 60.0 + 8192.0, y * 60.0 + 8192.0) * (0.5 * ROOM_MOTTLING) + base,
+                    )
                 }
             });
         }
@@ -270,13 +280,11 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
 /// The floor's colours at some points, m.
 #[inline(always)]
 fn floor_tiles(floor: &Shades, [x, y]: [Lanes; 2]) -> Colors {
-    let mottle = MOTTLING.lanes(&x.map(|x| x * 100.0 + 8192.0), &y.map(|y| y * 100.0 + 8192.0));
-    let beside = |v: f32| {
+    let mottle = MOTTLING.lanes(x * 100.0 + 8192.0, y * 100.0 + 8192.0) * ROOM_MOTTLING + 0.92;
+    let beside = |v: Lanes| {
         let tiles = v * (1.0 / TILE) + 1024.0;
-        (tiles - nearest(tiles) as f32).abs() < JOINT
+        (tiles - tiles.fast_round_int().round_float()).abs()
     };
-    floor.lanes(&lanes(|i| {
-        let mottle = 0.92 + ROOM_MOTTLING * mottle[i];
-        if beside(x[i]) | beside(y[i]) { mottle - 0.15 } else { mottle }
-    }))
+    let joint = beside(x).fast_min(beside(y)).simd_lt(JOINT);
+    floor.lanes(mottle - (joint & Lanes::splat(0.15)))
 }

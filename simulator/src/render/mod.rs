@@ -9,6 +9,7 @@
 //! `raster`.
 
 mod depth;
+mod exposure;
 mod faces;
 pub mod hand;
 mod noise;
@@ -26,9 +27,12 @@ use armarium_visionx::DepthImage;
 use nalgebra::{Isometry3, Vector3};
 
 pub use depth::DepthSensor;
+use exposure::Exposure;
 pub use noise::SensorNoise;
 use raster::Canvas;
-pub use scene::{Background, Bump, DirtTexture, Rendering, Shape, Viewpoint, VisibleForm, VisibleScene};
+pub use scene::{
+    Background, Bump, DirtTexture, Motion, Rendering, Shape, Viewpoint, VisibleForm, VisibleScene,
+};
 use shading::{Light, Shades};
 use shadow::Shadow;
 
@@ -75,18 +79,10 @@ fn draw(scene: &VisibleScene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint,
     if u64::from(camera.width) * u64::from(camera.height) > MAX_PIXELS {
         (camera.width, camera.height) = (0, 0);
     }
-    let mut canvas = Canvas::new(camera, scene.background.wall);
+    let canvas = Canvas::new(camera, scene.background.wall);
     let sound = camera.focal > 0.0 && camera.focal.is_finite() && camera.center.iter().all(|c| c.is_finite());
     if sound && is_finite(&viewpoint.scene_from_camera) && canvas.bounds().is_some() {
-        let camera_from_scene = viewpoint.scene_from_camera.inverse();
-        let light = Light::new(&scene.light, &camera_from_scene);
-        for index in nearest_first(scene, &camera_from_scene) {
-            let shape = &scene.shapes[index];
-            draw_shape(&mut canvas, shape, shadows[index].as_ref(), &camera_from_scene, light);
-        }
-        if room {
-            faces::room(&mut canvas, &camera_from_scene, &scene.background);
-        }
+        return Exposure::new(&canvas, scene, shadows, viewpoint, room).draw(canvas);
     }
     canvas.finish()
 }
@@ -112,10 +108,9 @@ fn draw_shape(
     canvas: &mut Canvas,
     shape: &Shape,
     shadow: Option<&Shadow>,
-    camera_from_scene: &Isometry3<f64>,
+    camera_from_shape: Isometry3<f64>,
     light: Light,
 ) {
-    let camera_from_shape = camera_from_scene * shape.scene_from_shape;
     let shades = Shades::new(shape.color);
     let axial = |radius: f64, half_length: f64| solids::Axial { radius, half_length, camera_from_shape };
     match &shape.geometry {

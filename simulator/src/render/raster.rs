@@ -4,48 +4,61 @@
 //! is the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer holds 1/depth, which
 //! is linear in u on a plane; 0 means that nothing is visible.
 
+use std::ops::Range;
+
 use armarium_visionx::{DepthImage, PinholeCamera, RgbImage};
 use nalgebra::{Point3, Vector3};
+use wide::f32x8;
 
 use super::scene::Rendering;
 
 /// Smallest depth that is drawn, m.
 pub(super) const NEAR: f64 = 0.01;
 const NEARNESS_LIMIT: f32 = (1.0 / NEAR) as f32;
-/// Number of pixels evaluated together, for vector instructions.
-const CHUNK: usize = 16;
+/// Number of pixels evaluated together, with vector instructions.
+const CHUNK: usize = 8;
+/// The pixels of a chunk, counted from its first.
+const STEPS: Lanes = Lanes::new([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
 
 /// A value for each pixel of a chunk.
-pub(super) type Lanes = [f32; CHUNK];
+pub(super) type Lanes = f32x8;
+/// A colour in one number, red in the lowest byte.
+pub(super) type Color = u32;
 /// The colours of a chunk.
-pub(super) type Colors = [[u8; 3]; CHUNK];
+pub(super) type Colors = [Color; CHUNK];
 
-/// `f` of each pixel of a chunk.
-#[inline(always)]
-pub(super) fn lanes<T>(f: impl FnMut(usize) -> T) -> [T; CHUNK] {
-    std::array::from_fn(f)
+/// A colour in one number.
+pub(super) fn packed([red, green, blue]: [u8; 3]) -> Color {
+    u32::from_le_bytes([red, green, blue, 0])
 }
 
-/// The whole number nearest to a value from 0 to 2^22, and any number for other values. Vector instructions do it, which
-/// they do not for a cast, as that has a rule for every other value.
+/// The bytes of a colour.
+fn unpacked(color: Color) -> [u8; 3] {
+    let [red, green, blue, _] = color.to_le_bytes();
+    [red, green, blue]
+}
+
+/// `f` of each pixel of a chunk, one after the other: for what vector instructions cannot do, such as looking up.
 #[inline(always)]
-pub(super) fn nearest(value: f32) -> u32 {
-    const FRACTIONLESS: f32 = (1 << 23) as f32;
-    (value + FRACTIONLESS).to_bits() & 0x007f_ffff
+pub(super) fn each<T>(f: impl FnMut(usize) -> T) -> [T; CHUNK] {
+    std::array::from_fn(f)
 }
 
 /// The whole number above a value from 0 on; without a call, which `ceil` is where the machine has no instruction for it.
 #[inline(always)]
 fn up(value: f64) -> usize {
-    let below = value as usize;
-    below.saturating_add(usize::from((below as f64) < value))
+    // Pictures have fewer pixels than 2^32, and machines have no instruction for conversions of 64 bits without a sign.
+    let below = value as u32;
+    below.saturating_add(u32::from(f64::from(below) < value)) as usize
 }
 
 /// Colours and inverse depths of one picture.
+#[derive(Clone)]
 pub(super) struct Canvas {
     camera: PinholeCamera,
     width: usize,
     height: usize,
+    /// Both have a chunk more than pixels, so that every chunk is whole.
     color: Vec<[u8; 3]>,
     nearness: Vec<f32>,
 }
@@ -93,12 +106,6 @@ pub(super) struct Bounds {
 type Extent = [f64; 2];
 
 impl Form {
-    /// The value at a column.
-    #[inline(always)]
-    pub(super) fn at(self, u: usize) -> f64 {
-        self.slope * u as f64 + self.at_zero
-    }
-
     /// The same form counted from column `u`.
     pub(super) fn line(self, u: usize) -> Line {
         Line { start: (self.slope * u as f64 + self.at_zero) as f32, slope: self.slope as f32 }
@@ -106,16 +113,10 @@ impl Form {
 }
 
 impl Line {
-    /// The value `k` pixels after the start.
+    /// The values `k` pixels after the start.
     #[inline(always)]
-    pub(super) fn at(self, k: f32) -> f32 {
+    pub(super) fn at(self, k: Lanes) -> Lanes {
         self.slope * k + self.start
-    }
-
-    /// The values in the chunk that begins `k` pixels after the start.
-    #[inline(always)]
-    pub(super) fn lanes(self, k: f32) -> Lanes {
-        lanes(|i| self.at(k + i as f32))
     }
 }
 
@@ -166,7 +167,7 @@ impl Span {
     pub(super) fn pixels(self) -> Option<(usize, usize)> {
         let low = up(self.low.max(0.0));
         // A number below zero is no pixel, and the cast of one over zero goes down.
-        (self.high >= low as f64).then_some((low, self.high as usize))
+        (self.high >= f64::from(low as u32)).then_some((low, self.high as u32 as usize))
     }
 }
 
@@ -182,9 +183,14 @@ impl Bounds {
         self.u[1] - self.u[0] < CHUNK / 2
     }
 
-    /// Its columns, one by one.
-    pub(super) fn each_column(self) -> std::ops::RangeInclusive<usize> {
-        self.u[0]..=self.u[1]
+    /// Its columns, one by one, each with its distance from `u`.
+    pub(super) fn each_column(self, u: f64) -> impl Iterator<Item = (usize, f64)> {
+        counted(self.u, u)
+    }
+
+    /// Its rows, one by one, each with its distance from `v`.
+    pub(super) fn each_row(self, v: f64) -> impl Iterator<Item = (usize, f64)> {
+        counted(self.v, v)
     }
 
     /// Its columns.
@@ -198,17 +204,25 @@ impl Canvas {
     pub(super) fn new(camera: PinholeCamera, color: [u8; 3]) -> Self {
         let (width, height) = (camera.width as usize, camera.height as usize);
         let pixels = width * height;
-        Self { camera, width, height, color: vec![color; pixels], nearness: vec![0.0; pixels] }
+        Self {
+            camera,
+            width,
+            height,
+            color: vec![color; pixels + CHUNK],
+            nearness: vec![0.0; pixels + CHUNK],
+        }
     }
 
     /// The finished pictures.
     pub(super) fn finish(self) -> Rendering {
         let (width, height) = (self.camera.width, self.camera.height);
-        let mut data = self.nearness;
+        let (mut color, mut data) = (self.color, self.nearness);
+        color.truncate(self.width * self.height);
+        data.truncate(self.width * self.height);
         for value in &mut data {
             *value = if *value > 0.0 { 1.0 / *value } else { 0.0 };
         }
-        let image = RgbImage::from_rgb(width, height, self.color.into_flattened())
+        let image = RgbImage::from_rgb(width, height, color.into_flattened())
             .expect("a canvas has three bytes for each of its pixels");
         Rendering { image, depth: DepthImage { width, height, data } }
     }
@@ -228,6 +242,28 @@ impl Canvas {
         let (first, last) = (self.row(0), bounds.v);
         let step = first.inverse_focal;
         (last[0]..=last[1]).map(move |v| ScanLine { v, y: first.y + v as f64 * step, ..first })
+    }
+
+    /// All rows.
+    pub(super) fn all_rows(&self) -> Range<usize> {
+        0..self.height
+    }
+
+    /// The rows in which the convex hull of some points (camera frame) can appear.
+    pub(super) fn rows_of(&self, points: &[Point3<f64>]) -> Range<usize> {
+        self.hull(points).map_or(0..0, |bounds| bounds.v[0]..bounds.v[1] + 1)
+    }
+
+    /// Takes over some rows of another canvas of the same size.
+    pub(super) fn copy(&mut self, rows: &Range<usize>, from: &Self) {
+        let pixels = rows.start * self.width..rows.end * self.width;
+        self.color[pixels.clone()].copy_from_slice(&from.color[pixels.clone()]);
+        self.nearness[pixels.clone()].copy_from_slice(&from.nearness[pixels]);
+    }
+
+    /// The bytes of some rows' colours.
+    pub(super) fn bytes(&mut self, rows: &Range<usize>) -> &mut [u8] {
+        self.color[rows.start * self.width..rows.end * self.width].as_flattened_mut()
     }
 
     /// The whole canvas.
@@ -261,13 +297,14 @@ impl Canvas {
         self.window(span(|p| p.x / p.z), span(|p| p.y / p.z))
     }
 
-    /// Where a point (camera frame) appears, px; not a number where it is too near.
-    pub(super) fn project(&self, point: &Point3<f64>) -> [f64; 2] {
+    /// Where a point (camera frame) appears, px, and its 1/depth; not a number where it is too near.
+    pub(super) fn project(&self, point: &Point3<f64>) -> [f64; 3] {
         if point.z < NEAR {
-            return [f64::NAN; 2];
+            return [f64::NAN; 3];
         }
-        let scale = self.camera.focal / point.z;
-        [point.x * scale + self.camera.center[0], point.y * scale + self.camera.center[1]]
+        let nearness = 1.0 / point.z;
+        let scale = self.camera.focal * nearness;
+        [point.x * scale + self.camera.center[0], point.y * scale + self.camera.center[1], nearness]
     }
 
     /// The pixels whose centres can lie between some pixels; `None` where there are none.
@@ -277,7 +314,7 @@ impl Canvas {
             let [a, b, c] = corners.map(|corner| corner[axis]);
             let low = up((a.min(b).min(c) - ROUNDING).max(0.0));
             let high = (a.max(b).max(c) + ROUNDING).min(size as f64 - 1.0);
-            (high >= low as f64).then_some([low, high as usize])
+            (high >= f64::from(low as u32)).then_some([low, high as u32 as usize])
         };
         Some(Bounds { u: range(0, self.width)?, v: range(1, self.height)? })
     }
@@ -294,85 +331,74 @@ impl Canvas {
         Some(Bounds { u, v })
     }
 
+    /// Whether 1/depth at a pixel is nearer than what was drawn before.
+    #[inline(always)]
+    pub(super) fn is_nearer(&self, v: usize, u: usize, near: f32) -> bool {
+        near > self.nearness[v * self.width + u] && near < NEARNESS_LIMIT
+    }
+
+    /// Draws one pixel.
+    #[inline(always)]
+    pub(super) fn dot(&mut self, v: usize, u: usize, near: f32, color: Color) {
+        self.nearness[v * self.width + u] = near;
+        self.color[v * self.width + u] = unpacked(color);
+    }
+
     /// Draws a run of pixels of row `v`, where it is nearer than what was drawn before.
     ///
-    /// `sample(k)` returns 1/depth, `k` pixels after the first (nothing is drawn unless it is positive), and one
-    /// more number for `paint(number)`, which returns the colour and is called for visible pixels only.
+    /// `sample(k)` returns 1/depth of the pixels `k` after the first (nothing is drawn unless it is positive), and one
+    /// more number. `paint(k, nearness, more)` returns the colours, also of pixels that are not visible.
     #[inline(always)]
     pub(super) fn fill(
         &mut self,
         v: usize,
-        run: (usize, usize),
-        sample: impl Fn(f32) -> (f32, f32),
-        paint: impl Fn(f32) -> [u8; 3],
-    ) {
-        self.fill_chunks(v, run, sample, |_, _, extra, visible, colors| {
-            for (i, color) in colors.iter_mut().enumerate().filter(|(i, _)| visible[*i]) {
-                *color = paint(extra[i]);
-            }
-        });
-    }
-
-    /// Draws one pixel, where it is nearer than what was drawn before.
-    #[inline(always)]
-    pub(super) fn dot(&mut self, v: usize, u: usize, near: f32, color: [u8; 3]) {
-        let at = v * self.width + u;
-        if near > self.nearness[at] && near < NEARNESS_LIMIT {
-            self.nearness[at] = near;
-            self.color[at] = color;
-        }
-    }
-
-    /// As [`Canvas::fill`]; `paint(k, nearness)` returns the colours of the chunk that begins `k` pixels after the first, also
-    /// for pixels that are not visible.
-    #[inline(always)]
-    pub(super) fn fill_lanes(
-        &mut self,
-        v: usize,
-        run: (usize, usize),
-        sample: impl Fn(f32) -> f32,
-        paint: impl Fn(f32, &Lanes) -> Colors,
-    ) {
-        let sample = |k| (sample(k), 0.0);
-        self.fill_chunks(v, run, sample, |k, near, _, visible, colors| {
-            let painted = paint(k, near);
-            for (i, color) in colors.iter_mut().enumerate().filter(|(i, _)| visible[*i]) {
-                *color = painted[i];
-            }
-        });
-    }
-
-    #[inline(always)]
-    fn fill_chunks(
-        &mut self,
-        v: usize,
         (first, last): (usize, usize),
-        sample: impl Fn(f32) -> (f32, f32),
-        paint: impl Fn(f32, &Lanes, &Lanes, &[bool; CHUNK], &mut [[u8; 3]]),
+        sample: impl Fn(Lanes) -> (Lanes, Lanes),
+        paint: impl Fn(Lanes, Lanes, Lanes) -> Colors,
     ) {
         let last = last.min(self.width - 1);
-        if first > last {
-            return;
-        }
-        let run = v * self.width + first..=v * self.width + last;
-        let depths = self.nearness[run.clone()].chunks_mut(CHUNK);
-        let colors = self.color[run].chunks_mut(CHUNK);
-        for (chunk, (depths, colors)) in depths.zip(colors).enumerate() {
-            let base = (chunk * CHUNK) as f32;
-            let (mut near, mut extra) = ([0.0; CHUNK], [0.0; CHUNK]);
-            for i in 0..CHUNK {
-                (near[i], extra[i]) = sample(base + i as f32);
+        let end = Lanes::splat(last as f32 - first as f32);
+        let mut k = STEPS;
+        let mut at = v * self.width + first;
+        for _ in 0..(last + CHUNK).saturating_sub(first) / CHUNK {
+            let (near, more) = sample(k);
+            let Some(depths) = self.nearness[at..].first_chunk_mut::<CHUNK>() else { return };
+            let before = Lanes::new(*depths);
+            // The last chunk may reach beyond the run.
+            let visible = near.simd_gt(before) & near.simd_lt(NEARNESS_LIMIT) & k.simd_le(end);
+            let bits = visible.to_bitmask();
+            if bits != 0 {
+                *depths = visible.select(near, before).to_array();
+                self.store(at, bits, &paint(k, near, more));
             }
-            let mut visible = [false; CHUNK];
-            for ((depth, near), visible) in depths.iter_mut().zip(&near).zip(&mut visible) {
-                *visible = *near > *depth && *near < NEARNESS_LIMIT;
-                *depth = if *visible { *near } else { *depth };
-            }
-            if visible.contains(&true) {
-                paint(base, &near, &extra, &visible, colors);
-            }
+            k += CHUNK as f32;
+            at += CHUNK;
         }
     }
+
+    /// Writes the colours of the visible pixels of a chunk: one bit each.
+    #[inline(always)]
+    fn store(&mut self, at: usize, visible: u32, colors: &Colors) {
+        let Some(into) = self.color[at..].first_chunk_mut::<CHUNK>() else { return };
+        if visible.trailing_ones() < CHUNK as u32 {
+            for (i, (into, color)) in into.iter_mut().zip(colors).enumerate() {
+                if visible & 1 << i != 0 {
+                    *into = unpacked(*color);
+                }
+            }
+            return;
+        }
+        // Four colours are three words.
+        let (words, _) = into.as_flattened_mut().as_chunks_mut::<4>();
+        for (words, [a, b, c, d]) in words.as_chunks_mut::<3>().0.iter_mut().zip(colors.as_chunks::<4>().0) {
+            *words = [a | b << 24, b >> 8 | c << 16, c >> 16 | d << 8].map(u32::to_le_bytes);
+        }
+    }
+}
+
+fn counted([first, last]: [usize; 2], from: f64) -> impl Iterator<Item = (usize, f64)> {
+    let start = f64::from(first as u32) - from;
+    (first..last + 1).zip(0u32..).map(move |(at, n)| (at, start + f64::from(n)))
 }
 
 /// The range of directions in which a circle appears that lies in the plane of one image axis and the optical axis.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use armarium_robot::Mesh;
 use armarium_visionx::{DepthImage, PinholeCamera, RgbImage};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 /// One solid of one colour.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,11 +100,22 @@ pub struct Background {
     pub wall: [u8; 3],
 }
 
-/// Everything that is visible at one instant.
+/// How a thing moves while the shutter is open, in the scene: by the same in each part of the exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// Of its frame's origin, m.
+    pub shift: Vector3<f64>,
+    /// Rotation vector, rad.
+    pub turn: Vector3<f64>,
+}
+
+/// Everything that is visible, where it is in the middle of the exposure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VisibleScene {
     /// The solids, in any order.
     pub shapes: Vec<Shape>,
+    /// How each of them moves; those for which there is none stand still.
+    pub motions: Vec<Motion>,
     /// The room.
     pub background: Background,
     /// The direction towards the light, of any length; zero means light from all directions.
@@ -114,8 +125,10 @@ pub struct VisibleScene {
 /// A camera and its pose. Camera frame: z along the optical axis, x right, y down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
-    /// The camera's pose.
+    /// The camera's pose in the middle of the exposure.
     pub scene_from_camera: Isometry3<f64>,
+    /// How it moves.
+    pub motion: Motion,
     /// Its intrinsics; pixel centres are at whole coordinates.
     pub camera: PinholeCamera,
 }
@@ -127,6 +140,31 @@ pub struct Rendering {
     pub image: RgbImage,
     /// Distance along the optical axis, m; 0 where nothing is visible.
     pub depth: DepthImage,
+}
+
+impl VisibleForm {
+    /// The corners of a box around it.
+    pub(super) fn corners(&self) -> [Point3<f64>; 8] {
+        let (middle, half) = match self {
+            Self::Box { half } => (Point3::origin(), *half),
+            Self::Tabletop { half, bumps, .. } => {
+                let highest = bumps.iter().map(|bump| bump.height.max(0.0)).sum::<f64>();
+                (Point3::origin(), half + Vector3::z() * highest)
+            }
+            Self::Sphere { radius } => (Point3::origin(), Vector3::repeat(*radius)),
+            Self::Cylinder { radius, half_length } => {
+                (Point3::origin(), Vector3::new(*radius, *radius, *half_length))
+            }
+            Self::Capsule { radius, half_length } => {
+                (Point3::origin(), Vector3::new(*radius, *radius, half_length + radius))
+            }
+            Self::Mesh { mesh } => mesh.surrounding_box(),
+        };
+        std::array::from_fn(|i| {
+            let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
+            middle + Vector3::new(half.x * sign(0), half.y * sign(1), half.z * sign(2))
+        })
+    }
 }
 
 impl Bump {
@@ -177,7 +215,8 @@ impl Default for Background {
 impl VisibleScene {
     /// Shapes in the default room, lit from above, behind and to the left.
     pub fn new(shapes: Vec<Shape>) -> Self {
-        Self { shapes, background: Background::default(), light: Vector3::new(-0.35, -0.3, 0.9) }
+        let light = Vector3::new(-0.35, -0.3, 0.9);
+        Self { shapes, motions: Vec::new(), background: Background::default(), light }
     }
 }
 
@@ -188,12 +227,16 @@ impl Viewpoint {
         let z = (target - eye).try_normalize(1e-9).unwrap_or_else(Vector3::y);
         let x = z.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         let axes = nalgebra::Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]);
-        Self { scene_from_camera: Isometry3::from_parts(eye.into(), axes.into()), camera }
+        let scene_from_camera = Isometry3::from_parts(eye.into(), axes.into());
+        Self { scene_from_camera, motion: Motion::default(), camera }
     }
 
     /// The same camera `baseline` m to the right, parallel: the other eye of a stereo pair.
     pub fn shifted_right(&self, baseline: f64) -> Self {
         let shift = nalgebra::Translation3::new(baseline, 0.0, 0.0);
-        Self { scene_from_camera: self.scene_from_camera * shift, camera: self.camera }
+        let scene_from_camera = self.scene_from_camera * shift;
+        let lever = self.scene_from_camera.rotation * shift.vector;
+        let motion = Motion { shift: self.motion.shift + self.motion.turn.cross(&lever), ..self.motion };
+        Self { scene_from_camera, motion, camera: self.camera }
     }
 }

@@ -6,8 +6,9 @@
 use std::sync::LazyLock;
 
 use nalgebra::{Isometry3, Vector3};
+use wide::i32x8;
 
-use super::raster::{Colors, Lanes, lanes, nearest};
+use super::raster::{Color, Colors, Lanes, each, packed};
 
 /// Brightness of a face that gets no direct light.
 const AMBIENT: f32 = 0.45;
@@ -32,54 +33,61 @@ impl Light {
 
     /// Brightness of a face with unit normal `n` in the camera frame.
     pub(super) fn on(&self, n: &Vector3<f64>) -> f32 {
-        brightness(n.dot(&self.toward) as f32)
+        brightness(Lanes::splat(n.dot(&self.toward) as f32)).to_array()[0]
     }
 }
 
-/// Brightness by the cosine between normal and light.
+/// Brightnesses by the cosines between normals and light.
 #[inline(always)]
-pub(super) fn brightness(cosine: f32) -> f32 {
-    let lit = ((cosine + SOFTNESS) * (1.0 / (1.0 + SOFTNESS))).max(0.0);
-    AMBIENT + (1.0 - AMBIENT) * lit
+pub(super) fn brightness(cosine: Lanes) -> Lanes {
+    let lit = ((cosine + SOFTNESS) * (1.0 / (1.0 + SOFTNESS))).fast_max(Lanes::ZERO);
+    lit * (1.0 - AMBIENT) + AMBIENT
 }
 
 /// One colour at all brightness levels.
-pub(super) struct Shades([[u8; 3]; 256]);
+pub(super) struct Shades([Color; 256]);
 
 impl Shades {
     /// The shades of a colour.
     pub(super) fn new(color: [u8; 3]) -> Self {
         let shade = |index: usize| {
             let scale = index as f32 / FULL;
-            color.map(|channel| (f32::from(channel) * scale + 0.5) as u8)
+            packed(color.map(|channel| (f32::from(channel) * scale + 0.5) as u8))
         };
         Self(std::array::from_fn(shade))
     }
 
     /// The colour at a brightness: 1 is full light.
     #[inline(always)]
-    pub(super) fn at(&self, brightness: f32) -> [u8; 3] {
+    pub(super) fn at(&self, brightness: f32) -> Color {
         self.0[usize::from((brightness * FULL + 0.5) as u8)]
     }
 
     /// The colours at some brightnesses.
     #[inline(always)]
-    pub(super) fn lanes(&self, brightness: &Lanes) -> Colors {
-        let index = lanes(|i| nearest((brightness[i] * FULL).clamp(0.0, 255.0)) & 255);
-        lanes(|i| self.0[index[i] as usize])
+    pub(super) fn lanes(&self, brightness: Lanes) -> Colors {
+        let index = (brightness * FULL).fast_max(Lanes::ZERO).fast_min(Lanes::splat(255.0)).fast_round_int();
+        let index = index.to_array();
+        each(|i| self.0[(index[i] & 255) as usize])
     }
 }
 
 /// A mixture of two colours; an `amount` of 255 gives `b`.
 #[inline(always)]
-pub(super) fn mix(a: [u8; 3], b: [u8; 3], amount: u8) -> [u8; 3] {
-    let (t, s) = (u32::from(amount), 255 - u32::from(amount));
-    std::array::from_fn(|i| ((u32::from(a[i]) * s + u32::from(b[i]) * t + 127) / 255) as u8)
+pub(super) fn mix(a: Color, b: Color, amount: u32) -> Color {
+    // Two channels at once, each in 16 bits; the sum's quotient by 255, rounded down, is exact up to 65 534.
+    let (t, s) = (amount, 255 - amount);
+    let two = |a: Color, b: Color| {
+        let sum = (a & 0x00ff_00ff) * s + (b & 0x00ff_00ff) * t + 127 * 0x0001_0001;
+        ((sum + 0x0001_0001 + ((sum >> 8) & 0x00ff_00ff)) >> 8) & 0x00ff_00ff
+    };
+    two(a, b) | two(a >> 8, b >> 8) << 8
 }
 
 /// A square of smooth random values that tiles the plane.
 pub(super) struct Mottling {
-    values: Box<[[i8; TEXELS]; TEXELS]>,
+    /// Row by row.
+    values: Box<[i8; TEXELS * TEXELS]>,
 }
 
 /// Texels along each side of [`Mottling`]; a power of two.
@@ -96,15 +104,16 @@ impl Mottling {
             let sum: f32 = octaves.iter().map(|&(cell, weight)| weight * lattice_noise(x, y, cell)).sum();
             (sum * 127.0) as i8
         };
-        Self { values: Box::new(std::array::from_fn(|y| std::array::from_fn(|x| value(x, y)))) }
+        Self { values: Box::new(std::array::from_fn(|at| value(at % TEXELS, at / TEXELS))) }
     }
 
     /// The values at some points, in texels from 0 on: between about -1 and 1, mostly within 0.5.
     #[inline(always)]
-    pub(super) fn lanes(&self, x: &Lanes, y: &Lanes) -> Lanes {
-        let column = lanes(|i| nearest(x[i]) % TEXELS as u32);
-        let row = lanes(|i| nearest(y[i]) % TEXELS as u32);
-        lanes(|i| f32::from(self.values[row[i] as usize][column[i] as usize]) * (1.0 / 127.0))
+    pub(super) fn lanes(&self, x: Lanes, y: Lanes) -> Lanes {
+        let cell = |v: Lanes| v.fast_round_int() & i32x8::splat(TEXELS as i32 - 1);
+        let at = (cell(y) * i32x8::splat(TEXELS as i32) + cell(x)).to_array();
+        let values = each(|i| i32::from(self.values[at[i] as usize % (TEXELS * TEXELS)]));
+        i32x8::new(values).round_float() * (1.0 / 127.0)
     }
 }
 

@@ -5,7 +5,7 @@
 
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
-use super::raster::{Lanes, lanes, nearest};
+use super::raster::{Lanes, each};
 use super::scene::{Shape, VisibleForm, VisibleScene};
 
 /// Edge of a cell, m.
@@ -72,25 +72,24 @@ impl Shadow {
 
     /// The light at some points of the table, 0 to 1, interpolated.
     #[inline(always)]
-    pub(super) fn lanes(&self, x: &Lanes, y: &Lanes) -> Lanes {
-        let axis = |value: f32, half: f32, per_metre: f32, cells: usize| {
-            let at = ((value + half) * per_metre).max(0.0);
-            let cell = nearest((at - 0.5).max(0.0)).min(cells as u32 - 1);
-            (cell, at - cell as f32)
+    pub(super) fn lanes(&self, x: Lanes, y: Lanes) -> Lanes {
+        let axis = |value: Lanes, half: f32, per_metre: f32, cells: usize| {
+            let at = ((value + half) * per_metre).fast_max(Lanes::ZERO);
+            let last = Lanes::splat(cells as f32 - 1.0);
+            let cell = (at - 0.5).fast_max(Lanes::ZERO).fast_min(last).fast_round_int();
+            (cell.to_array(), at - cell.round_float())
         };
-        let u = lanes(|i| axis(x[i], self.half[0], self.cells_per_metre[0], self.columns));
-        let v = lanes(|i| axis(y[i], self.half[1], self.cells_per_metre[1], self.rows));
+        let (column, s) = axis(x, self.half[0], self.cells_per_metre[0], self.columns);
+        let (row, t) = axis(y, self.half[1], self.cells_per_metre[1], self.rows);
         let below = self.columns + 1;
-        lanes(|i| {
-            let ((column, s), (row, t)) = (u[i], v[i]);
-            let (column, row) = (column as usize, row as usize);
-            let Some(cell) = self.light.get(row * below + column..).filter(|cell| cell.len() > below + 1)
-            else {
-                return 1.0;
-            };
-            (cell[0] * (1.0 - s) + cell[1] * s) * (1.0 - t)
-                + (cell[below] * (1.0 - s) + cell[below + 1] * s) * t
-        })
+        let corners = each(|i| {
+            let first = row[i] as usize * below + column[i] as usize;
+            let cell = self.light.get(first..).filter(|cell| cell.len() > below + 1);
+            cell.map_or([1.0; 4], |cell| [cell[0], cell[1], cell[below], cell[below + 1]])
+        });
+        let [a, b, c, d] = std::array::from_fn(|corner| Lanes::new(each(|i| corners[i][corner])));
+        let (upper, lower) = (a + (b - a) * s, c + (d - c) * s);
+        upper + (lower - upper) * t
     }
 
     /// Adds the shadow of one shape.
@@ -155,16 +154,7 @@ fn outline(
         }
         VisibleForm::Box { .. } | VisibleForm::Mesh { .. } => {
             // A mesh casts the shadow of the box around it.
-            let (middle, half) = match geometry {
-                VisibleForm::Box { half } => (Point3::origin(), *half),
-                VisibleForm::Mesh { mesh } => mesh.surrounding_box(),
-                _ => return None,
-            };
-            let corners: [_; 8] = std::array::from_fn(|i| {
-                let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
-                let corner = Vector3::new(half.x * sign(0), half.y * sign(1), half.z * sign(2));
-                table_from_shape * (middle + corner)
-            });
+            let corners = geometry.corners().map(|corner| table_from_shape * corner);
             let heights = corners.iter().map(|c| c.z - top);
             let (low, high) =
                 heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));

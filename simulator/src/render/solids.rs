@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Vector3};
 
 use super::faces::Face;
-use super::raster::{Bounds, Canvas, ScanLine, Span};
+use super::raster::{Bounds, Canvas, Lanes, ScanLine, Span};
+use super::scene::VisibleForm;
 use super::shading::{Light, Shades, brightness};
 
 /// A ray does not meet a cylinder's side if its direction across the axis is shorter than this (squared).
@@ -80,14 +81,14 @@ fn ball_row(canvas: &mut Canvas, row: ScanLine, bounds: Bounds, ball: &Ball<'_>)
             let x = x.at(k);
             let offset = x - origin;
             // Negative where the ray misses; the root is then NaN, and nothing is drawn.
-            let discriminant = (a * offset + linear) * offset + constant;
-            let squared = rest + x * x;
+            let discriminant = (offset * a + linear) * offset + constant;
+            let squared = x * x + rest;
             let reach = toward.at(k) - discriminant.sqrt();
             let t = reach / squared;
-            let near = if t * out.at(k) >= border { squared / reach } else { 0.0 };
+            let near = (t * out.at(k)).simd_ge(border) & (squared / reach);
             (near, (t * lit.at(k) - center_lit) * inverse_radius)
         },
-        |cosine| shades.at(brightness(cosine)),
+        |_, _, cosine| shades.lanes(brightness(cosine)),
     );
 }
 
@@ -148,12 +149,8 @@ impl Axial {
 
     /// For a body with one end outside the picture: the bounds of the box around it.
     fn partial(&self, canvas: &Canvas) -> Option<Bounds> {
-        let (r, h) = (self.radius, self.half_length + self.radius);
-        let corners: [_; 8] = std::array::from_fn(|i| {
-            let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
-            self.camera_from_shape * nalgebra::Point3::new(r * sign(0), r * sign(1), h * sign(2))
-        });
-        canvas.hull(&corners)
+        let around = VisibleForm::Capsule { radius: self.radius, half_length: self.half_length };
+        canvas.hull(&around.corners().map(|corner| self.camera_from_shape * corner))
     }
 }
 
@@ -190,14 +187,14 @@ fn side(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
                 let (x, y) = (dx.at(k), dy.at(k));
                 let a = x * x + y * y;
                 let w = w.at(k);
-                let root = (squared_radius * a - w * w).max(0.0).sqrt();
+                let root = (a * squared_radius - w * w).fast_max(Lanes::ZERO).sqrt();
                 let reach = -b.at(k) - root;
                 let t = reach / a;
-                let z = eye_z + t * dz.at(k);
-                let hit = (z.abs() <= half_length) & (a > PARALLEL);
-                (if hit { a / reach } else { 0.0 }, (eye_lit + t * lit.at(k)) * inverse_radius)
+                let z = t * dz.at(k) + eye_z;
+                let hit = z.abs().simd_le(half_length) & a.simd_gt(PARALLEL);
+                (hit & (a / reach), (t * lit.at(k) + eye_lit) * inverse_radius)
             },
-            |cosine| shades.at(brightness(cosine)),
+            |_, _, cosine| shades.lanes(brightness(cosine)),
         );
     }
 }
@@ -228,11 +225,11 @@ fn cap(canvas: &mut Canvas, body: &Axial, sign: f64, light: Light, shades: &Shad
             run,
             |k| {
                 let near = near.at(k);
-                let t = 1.0 / near;
-                let (x, y) = (eye_x + t * dx.at(k), eye_y + t * dy.at(k));
-                (if x * x + y * y <= squared_radius { near } else { 0.0 }, 0.0)
+                let t = Lanes::ONE / near;
+                let (x, y) = (t * dx.at(k) + eye_x, t * dy.at(k) + eye_y);
+                ((x * x + y * y).simd_le(squared_radius) & near, Lanes::ZERO)
             },
-            |_| color,
+            |_, _, _| [color; _],
         );
     }
 }

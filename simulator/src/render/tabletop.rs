@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::faces::{Face, Local, LocalRun, SIDES};
-use super::raster::{Canvas, Colors, Lanes, lanes, nearest};
+use super::raster::{Canvas, Colors, Lanes, each};
 use super::scene::{Bump, DirtTexture};
 use super::shading::{Light, MOTTLING, Shades, brightness, mix};
 use super::shadow::Shadow;
@@ -61,7 +61,7 @@ pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, 
     }
     face.draw(canvas, |row, first| {
         let (local, surface) = (local.run(row, first), &surface);
-        move |k, near| surface.colors(local.lanes([0, 1], k, near), &lanes(|_| lit))
+        move |k, near| surface.colors(local.points([0, 1], k, near), Lanes::splat(lit))
     });
 }
 
@@ -81,22 +81,21 @@ impl<'a> Surface<'a> {
 
     /// The colours at some points of the upper face, m, under a brightness.
     #[inline(always)]
-    fn colors(&self, [x, y]: [Lanes; 2], brightness: &Lanes) -> Colors {
-        let grain =
-            MOTTLING.lanes(&x.map(|x| x * GRAIN_SCALE[0] + 8192.0), &y.map(|y| y * GRAIN_SCALE[1] + 8192.0));
-        let light = self.shadow.lanes(&x, &y);
-        let bright = lanes(|i| brightness[i] * light[i] * (1.0 + GRAIN * grain[i]));
-        let clean = self.shades.lanes(&bright);
+    fn colors(&self, [x, y]: [Lanes; 2], brightness: Lanes) -> Colors {
+        let grain = MOTTLING.lanes(x * GRAIN_SCALE[0] + 8192.0, y * GRAIN_SCALE[1] + 8192.0);
+        let bright = brightness * self.shadow.lanes(x, y) * (grain * GRAIN + 1.0);
+        let clean = self.shades.lanes(bright);
         let Some(dirt) = &self.dirt else { return clean };
-        let cell = |value: f32, half: f32, per_metre: f32| nearest((value + half) * per_metre - 0.5);
-        let column = lanes(|i| cell(x[i], self.half[0], dirt.cells_per_metre[0]));
-        let row = lanes(|i| cell(y[i], self.half[1], dirt.cells_per_metre[1]));
-        let amount = lanes(|i| dirt.texture.cell(column[i] as usize, row[i] as usize));
+        let cell = |value: Lanes, axis: usize| {
+            ((value + self.half[axis]) * dirt.cells_per_metre[axis] - 0.5).fast_round_int().to_array()
+        };
+        let (column, row) = (cell(x, 0), cell(y, 1));
+        let amount = each(|i| u32::from(dirt.texture.cell(column[i] as usize, row[i] as usize)));
         if amount.iter().all(|amount| *amount == 0) {
             return clean;
         }
-        let dirty = dirt.shades.lanes(&bright);
-        lanes(|i| if amount[i] == 0 { clean[i] } else { mix(clean[i], dirty[i], amount[i]) })
+        let dirty = dirt.shades.lanes(bright);
+        each(|i| mix(clean[i], dirty[i], amount[i]))
     }
 }
 
@@ -123,68 +122,96 @@ fn bump_patch(canvas: &mut Canvas, table: &Tabletop<'_>, bump: &Bump, surface: &
     for row in canvas.rows(bounds) {
         let Some(run) = bounds.columns().pixels() else { continue };
         let local = local.run(&row, run.0);
-        let hit = |k: f32| relief.meet(&local, k);
-        canvas.fill_lanes(
+        canvas.fill(
             row.v,
             run,
             |k| {
-                let (t, height) = hit(k);
-                if height > 0.0 { 1.0 / t } else { 0.0 }
+                let (t, height) = relief.meet(&local, k);
+                (height.simd_gt(Lanes::ZERO) & (Lanes::ONE / t), Lanes::ZERO)
             },
-            |k, near| {
-                let [x, y] = local.lanes([0, 1], k, near);
-                surface.colors([x, y], &lanes(|i| relief.brightness(x[i], y[i])))
+            |k, near, _| {
+                let at = local.points([0, 1], k, near);
+                surface.colors(at, relief.brightness(at))
             },
         );
     }
 }
 
 /// The uneven face, in single precision.
-struct Relief<'a> {
-    bumps: &'a [Bump],
+struct Relief {
+    bumps: Vec<FlatBump>,
     half: [f32; 2],
     top: f32,
     /// Direction towards the light in the tabletop's frame.
     light: [f32; 3],
 }
 
-impl<'a> Relief<'a> {
-    fn new(table: &Tabletop<'a>, light: Light) -> Self {
+impl Relief {
+    fn new(table: &Tabletop<'_>, light: Light) -> Self {
         let light = table.camera_from_shape.rotation.inverse() * light.toward;
         Self {
-            bumps: table.bumps,
+            bumps: table.bumps.iter().filter(|bump| bump.is_drawable()).map(FlatBump::new).collect(),
             half: [table.half.x as f32, table.half.y as f32],
             top: table.half.z as f32,
             light: [light.x as f32, light.y as f32, light.z as f32],
         }
     }
 
-    fn height(&self, x: f32, y: f32) -> f32 {
-        let (x, y) = (f64::from(x), f64::from(y));
-        self.bumps.iter().filter(|bump| bump.is_drawable()).map(|bump| bump.height_at(x, y)).sum::<f64>()
-            as f32
+    fn height(&self, x: Lanes, y: Lanes) -> Lanes {
+        self.bumps.iter().fold(Lanes::ZERO, |sum, bump| {
+            let falloff = bump.falloff(x, y);
+            sum + falloff * falloff * bump.height
+        })
     }
 
-    /// Depth and height (0 outside the face) where a ray meets the face, by fixed-point iteration.
-    fn meet(&self, local: &LocalRun, k: f32) -> (f32, f32) {
-        let mut t = local.depth_of_height(k, self.top);
-        let mut height = 0.0;
+    /// Depth and height (0 outside the face) where rays meet the face, by fixed-point iteration.
+    #[inline(always)]
+    fn meet(&self, local: &LocalRun, k: Lanes) -> (Lanes, Lanes) {
+        let mut t = local.depth_of_height(k, Lanes::splat(self.top));
+        let mut height = Lanes::ZERO;
         for _ in 0..BUMP_STEPS {
             height = self.height(local.at(0, k, t), local.at(1, k, t));
-            t = local.depth_of_height(k, self.top + height);
+            t = local.depth_of_height(k, height + self.top);
         }
-        let inside = local.at(0, k, t).abs() <= self.half[0] && local.at(1, k, t).abs() <= self.half[1];
-        (t, if inside { height } else { 0.0 })
+        let inside =
+            local.at(0, k, t).abs().simd_le(self.half[0]) & local.at(1, k, t).abs().simd_le(self.half[1]);
+        (t, inside & height)
     }
 
-    fn brightness(&self, x: f32, y: f32) -> f32 {
-        let slope = self.bumps.iter().filter(|bump| bump.is_drawable()).fold([0.0_f32; 2], |sum, bump| {
-            let slope = bump.slope_at(f64::from(x), f64::from(y));
-            [sum[0] + slope[0] as f32, sum[1] + slope[1] as f32]
+    fn brightness(&self, [x, y]: [Lanes; 2]) -> Lanes {
+        let slope = self.bumps.iter().fold([Lanes::ZERO; 2], |sum, bump| {
+            let k = bump.falloff(x, y) * bump.steepness;
+            [sum[0] + k * (x - bump.at[0]), sum[1] + k * (y - bump.at[1])]
         });
+        let length = (slope[0] * slope[0] + slope[1] * slope[1] + 1.0).sqrt();
         let [x, y, z] = self.light;
-        brightness(
-            (z - slope[0] * x - slope[1] * y) / (1.0 + slope[0] * slope[0] + slope[1] * slope[1]).sqrt(),
-        )
+        brightness((Lanes::splat(z) - slope[0] * x - slope[1] * y) / length)
+    }
+}
+
+/// A [`Bump`] in single precision.
+struct FlatBump {
+    at: [f32; 2],
+    height: f32,
+    inverse_squared_radius: f32,
+    /// Its slope over falloff and distance, 1/m.
+    steepness: f32,
+}
+
+impl FlatBump {
+    fn new(bump: &Bump) -> Self {
+        let inverse = 1.0 / (bump.radius * bump.radius);
+        Self {
+            at: bump.at.map(|at| at as f32),
+            height: bump.height as f32,
+            inverse_squared_radius: inverse as f32,
+            steepness: (-4.0 * bump.height * inverse) as f32,
+        }
+    }
+
+    /// As [`Bump`]'s.
+    fn falloff(&self, x: Lanes, y: Lanes) -> Lanes {
+        let (x, y) = (x - self.at[0], y - self.at[1]);
+        (Lanes::ONE - (x * x + y * y) * self.inverse_squared_radius).fast_max(Lanes::ZERO)
     }
 }

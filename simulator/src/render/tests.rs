@@ -373,3 +373,66 @@ fn a_mesh_around_the_camera_and_one_behind_it_are_no_trouble() {
         assert!(if expected > 0.01 { (depth - expected).abs() < 1e-3 } else { depth > 20.0 }, "{y}: {depth}");
     }
 }
+
+/// A bright panel before a dark one, both of which fill the picture's height, and the panel's motion during the exposure, m.
+fn panels(shift: Vector3<f64>) -> VisibleScene {
+    let panel = |half: f64, y: f64, color| {
+        let half = Vector3::new(half, 0.01, 5.0);
+        shape(VisibleForm::Box { half }, Isometry3::translation(0.0, y, 0.0), color)
+    };
+    let mut scene = scene(vec![panel(0.2, 1.01, RED), panel(9.0, 3.01, GREEN)]);
+    scene.motions = vec![Motion { shift, turn: Vector3::zeros() }];
+    scene
+}
+
+/// The share of the bright panel in each pixel of a row.
+fn shares(picture: &Rendering, sharp: &Rendering, v: u32) -> Vec<f64> {
+    let red = |picture: &Rendering, u: u32| f64::from(picture.image.pixel(u, v)[0]);
+    let (bright, dark) = (red(sharp, 160), red(sharp, 5));
+    (0..CAMERA.width).map(|u| (red(picture, u) - dark) / (bright - dark)).collect()
+}
+
+#[test]
+fn what_moves_is_smeared_over_its_way_and_what_stands_is_not() {
+    let viewpoint = ahead();
+    let sharp = render(&panels(Vector3::zeros()), &viewpoint);
+    for pixels in [3.0, 7.0, 12.0] {
+        // The panel's front is 1 m away.
+        let moved = render(&panels(Vector3::x() * pixels / CAMERA.focal), &viewpoint);
+        assert_eq!(moved.depth, sharp.depth, "depth is that of the middle of the exposure");
+        let (shares, still) = (shares(&moved, &sharp, 120), shares(&sharp, &sharp, 120));
+        let edges = [-0.2, 0.2].map(|x| CAMERA.center[0] + x * CAMERA.focal);
+        for (u, share) in shares.iter().enumerate() {
+            // The share of the exposure in which the panel covers the pixel's centre: a ramp as long as the way.
+            let ramp = |edge: f64| ((u as f64 - edge) / pixels + 0.5).clamp(0.0, 1.0);
+            let expected = ramp(edges[0]) - ramp(edges[1]);
+            assert!(
+                (share - expected).abs() < 0.5 / pixels + 0.02,
+                "{pixels} px, {u}: {share} for {expected}"
+            );
+        }
+        let mixed = |shares: &[f64]| shares.iter().filter(|s| (0.02..0.98).contains(*s)).count() as f64;
+        assert!((mixed(&shares) - 2.0 * pixels).abs() <= 2.0 && mixed(&still) == 0.0, "{}", mixed(&shares));
+    }
+    // Less than two pixels are not seen.
+    assert_eq!(render(&panels(Vector3::x() * 1.9 / CAMERA.focal), &viewpoint), sharp);
+}
+
+#[test]
+fn a_camera_that_turns_smears_everything_but_what_turns_with_it() {
+    let turning = Motion { shift: Vector3::zeros(), turn: Vector3::z() * (8.0 / CAMERA.focal) };
+    let viewpoint = Viewpoint { motion: turning, ..ahead() };
+    let still = panels(Vector3::zeros());
+    let (sharp, smeared) = (render(&still, &ahead()), render(&still, &viewpoint));
+    let (left, right) = (shares(&smeared, &sharp, 120), shares(&sharp, &sharp, 120));
+    let mixed = |shares: &[f64]| shares.iter().filter(|s| (0.02..0.98).contains(*s)).count();
+    // Beside the optical axis, a turn moves the picture by focal (1 + (x/z)^2) a radian: 8.3 px at each edge, of which n
+    // instants show all but 1/n, from the middle of the first part to that of the last.
+    assert!((14..=16).contains(&mixed(&left)) && mixed(&right) == 0, "{}", mixed(&left));
+    // A scene that turns about the camera as the camera does stands still in its picture, but for the room.
+    let mut carried = still;
+    let levers = carried.shapes.iter().map(|shape| shape.scene_from_shape.translation.vector);
+    carried.motions = levers.map(|lever| Motion { shift: turning.turn.cross(&lever), ..turning }).collect();
+    let seen = render(&carried, &viewpoint);
+    assert_eq!(mixed(&shares(&seen, &sharp, 120)), 0);
+}

@@ -196,6 +196,8 @@ form! {
         pub baseline: f64 = 0.093, Rule::number("m", 0.02, 0.5);
         /// Standard deviation of each pixel's channels, grey levels of 255.
         pub noise: f64 = 2.0, Rule::number("", 0.0, 64.0);
+        /// How long the shutter is open, s: what moves is smeared.
+        pub exposure: f64 = 0.008, Rule::number("s", 0.0, 0.1);
         /// From the exposure of a frame to its arrival, s.
         pub latency: f64 = 0.03, Rule::number("s", 0.0, 1.0);
         /// Standard deviation of the latency, s.

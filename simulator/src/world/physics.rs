@@ -86,6 +86,9 @@ impl CameraSpec {
     /// Takes the errors away that the file does not name.
     fn idealise(&mut self, written: Option<&Node>) {
         let says = |key: &str| written.is_some_and(|node| node.get(key).is_some());
+        if !says("exposure") {
+            self.exposure = 0.0;
+        }
         if !says("latency") {
             self.latency = 0.0;
         }
