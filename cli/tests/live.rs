@@ -163,7 +163,8 @@ fn a_run_is_the_same_with_readers_that_never_read_reload_and_ask_for_all() {
 
 #[test]
 fn strangers_are_refused_and_harm_nothing() {
-    let run = Run::start(SWINGS, &["--live-control"]);
+    // In real time it lasts until all has been tried.
+    let run = Run::start(SWINGS, &["--live-control", "--speed", "1"]);
     let host = run.address().to_owned();
     let status = |answer: &str| answer.split(' ').nth(1).unwrap_or("none").to_owned();
     assert_eq!(status(&run.get("/", "")), "200");
