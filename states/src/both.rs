@@ -144,6 +144,11 @@ impl BothArms {
         Ok(farthest)
     }
 
+    /// One of the arms.
+    pub(crate) fn arm(&mut self, hand: usize) -> &mut LeasedArm {
+        &mut self.arms[hand]
+    }
+
     /// The poses of both TCPs, at rest.
     pub(crate) fn resting(&self, sample: &Sensed) -> [LinePoint; 2] {
         [0, 1].map(|i| at_rest(self.arms[i].tcp(sample)))

@@ -10,6 +10,7 @@ mod force_coaching;
 mod force_guiding;
 mod imitate_motion;
 mod keep_motion;
+mod learn_together;
 mod locate_object;
 mod look_around;
 mod look_at;
@@ -75,6 +76,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         force_guiding::skill(equipment),
         squeeze_together::skill(equipment),
         carry_together::skill(equipment),
+        learn_together::skill(equipment),
         put_down_together::skill(equipment),
         vision_coaching::skill(equipment),
         watch_coach::skill(equipment),
