@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use armarium_motion::LinePoint;
 use armarium_robot::{
-    DifferentialIk, Fault, IkConfig, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model, Robot,
-    Sensed, Twist, newest,
+    DifferentialIk, Fault, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId,
+    Model, Robot, Sensed, Twist, newest,
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
@@ -292,11 +292,17 @@ impl LeasedArm {
         LinePoint { pose: *self.kinematics.pose(self.tcp), linear: twist.linear, angular: twist.angular }
     }
 
-    /// Velocity of the TCP at a sample, root frame, m/s and rad/s, and the columns of its Jacobian, one per joint.
-    pub(crate) fn twist_and_columns(&mut self, sample: &Sensed) -> (Vector6<f64>, Vec<Vector6<f64>>) {
+    /// Velocity of a point of the TCP's frame at a sample, root frame, m/s and rad/s, and the columns of its Jacobian, one per
+    /// joint.
+    pub(crate) fn twist_and_columns(
+        &mut self,
+        sample: &Sensed,
+        at: &Point3<f64>,
+    ) -> (Vector6<f64>, Vec<Vector6<f64>>) {
         self.kinematics.update(&sample.position);
-        let twist = self.kinematics.twist(self.tcp, &Point3::origin(), &sample.velocity);
-        let jacobian = self.kinematics.jacobian(self.tcp, &self.leases.joints);
+        let twist = self.kinematics.twist(self.tcp, at, &sample.velocity);
+        let mut jacobian = Jacobian::zeros(self.leases.joints.len());
+        self.kinematics.jacobian_into(self.tcp, at, &self.leases.joints, &mut jacobian);
         (six(&twist), jacobian.column_iter().map(|column| column.into_owned()).collect())
     }
 

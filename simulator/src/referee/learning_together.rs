@@ -225,3 +225,68 @@ fn heights(run: &Run<'_>, title: &str, epoch: &Epoch) -> TimePlot {
         ..TimePlot::default()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Isometry3, Point3};
+
+    use super::*;
+    use crate::physics::{PressedLoad, PressingHand};
+    use crate::referee::TruthLog;
+    use crate::world::{BodySpec, World};
+
+    /// Epochs of two seconds, half of each for its discrete part, in which the second hand is `off` m higher than the first, once
+    /// an epoch has begun.
+    fn figures(off: &[f64], before: u32) -> Value {
+        let load = BodySpec { name: "box".into(), mass: 1.0, ..BodySpec::default() };
+        let world = World { objects: Vec::new(), bodies: vec![load], ..World::ideal() };
+        let (mut log, mut marks) = (TruthLog::default(), Vec::new());
+        for (k, off) in off.iter().enumerate() {
+            let begin = 3000 * k as u64;
+            for ms in begin..begin + 2000 {
+                let higher = if ms > begin { *off } else { 0.0 };
+                let hand = |x: f64, z: f64| PressingHand {
+                    at: Point3::new(0.2 * x, 0.5, z),
+                    force: Vector3::new(-25.0 * x, 0.0, 5.0),
+                    slipping: 0,
+                };
+                let hands = [hand(1.0, 1.0), hand(-1.0, 1.0 + higher)];
+                let pose = Isometry3::translation(0.0, 0.5, 1.0);
+                log.pressed.push((ms * 1_000_000, PressedLoad { body: 0, hands, table_n: 0.0 }, pose));
+            }
+            let at = |ms: u64| (begin + ms) * 1_000_000;
+            marks.push((at(0), Milestone::EpochStarted));
+            marks.push((at(1000), Milestone::PeriodsStarted));
+            marks.push((at(2000), Milestone::EpochEnded));
+        }
+        // One that was disturbed does not count.
+        marks.push((100_000_000_000, Milestone::EpochStarted));
+        marks.push((101_000_000_000, Milestone::LearnedTogether { before }));
+        measure(&Run::new(&world, &log, &marks, &[])).unwrap()
+    }
+
+    fn missed(own: &Value) -> Vec<String> {
+        asks(own)
+            .into_iter()
+            .filter(|figure| figure.passed() == Some(false))
+            .map(|figure| figure.name)
+            .collect()
+    }
+
+    #[test]
+    fn an_error_that_falls_tenfold_passes() {
+        let own = figures(&[0.02, 0.015, 0.01, 0.008, 0.006, 0.004, 0.003, 0.002, 0.0015, 0.001], 0);
+        assert_eq!(things(&own["epochs"]).len(), 10);
+        assert!((own["distance_fell"].as_f64().unwrap() - 20.0).abs() < 0.1, "{own}");
+        assert!((own["first_rms_m"].as_f64().unwrap() - 0.02).abs() < 1e-4);
+        assert_eq!(missed(&own), Vec::<String>::new());
+    }
+
+    #[test]
+    fn one_that_does_not_fall_is_found_and_so_is_a_day_that_begins_anew() {
+        let own = figures(&[0.02; 10], 0);
+        assert_eq!(missed(&own), ["it fell by", "in the discrete part by", "in the periods by"]);
+        assert_eq!(missed(&figures(&[0.02, 0.01], 10)), ["distance error, first epoch"]);
+        assert_eq!(missed(&figures(&[0.001, 0.001], 10)), Vec::<String>::new());
+    }
+}

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use armarium_motion::{
     FeedbackError, LearningControl, LearningControlConfig, LiftAndShake, LinePoint, LoadForces, LoadStatus,
-    SharedLoad, SharedLoadConfig, SharedLoadStep, StraightLine,
+    SharedLoad, SharedLoadConfig, SharedLoadStep, StraightLine, joint_coupling,
 };
 use armarium_robot::Sensed;
 use armarium_runtime::skill::{
@@ -27,6 +27,8 @@ const LOST: &str = "lost";
 const EPOCH: &str = "epoch";
 const PERIODS: &str = "periods";
 const EPOCH_OVER: &str = "epoch_over";
+/// Raised in its place when the epoch was disturbed from outside.
+const DISTURBANCE: &str = "disturbed";
 /// The words of the input `space`.
 const TASK: &str = "task";
 const JOINT: &str = "joint";
@@ -41,11 +43,15 @@ const BACK: f64 = 0.08;
 const FILTER: f64 = 20.0;
 /// (11): what is learned of the last epoch, and the feedback within one.
 const LEARNING: LearningControlConfig = LearningControlConfig { q: 1.0, l: 0.3, c: 0.3 };
-/// K1 of (10) in task space, m/s/N, and of (14) in joint space, 1/(N m s).
-const K1_TASK: f64 = 0.05;
-const K1_JOINT: f64 = 0.15;
-/// The weight of forces along the line between the hands, in which the load is stiff.
+/// K1 of (10), m/s/N.
+const K1: f64 = 0.08;
+/// The weight of forces along the line between the hands, in which the load is stiff, and of moments, in 1/m^2.
 const ALONG: f64 = 0.1;
+const MOMENTS: f64 = 15.0;
+/// An epoch in which the hands carry so much more or less than at rest, N and share of the weight, is disturbed from outside:
+/// it is not learned, but repeated, at most so often.
+const DISTURBED: (f64, f64) = (5.0, 0.3);
+const REPEATED: usize = 3;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let length = || Type::quantity(Unit::M);
@@ -60,9 +66,9 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .optional("duration", Type::Duration, 1.5, "Duration of the lift.")
     .optional("periods", Type::Int, 3_i64, "Periods of shaking in an epoch.")
     .optional("period", Type::Duration, 1.2, "Length of a period.")
-    .optional("lift", length(), 0.06, "How high the leading hand lifts.")
+    .optional("lift", length(), 0.07, "How high the leading hand lifts.")
     .optional("amplitude", length(), 0.02, "How far it shakes, up and down.")
-    .optional("own_lift", length(), 0.04, "How high the other one lifts before it has learned.")
+    .optional("own_lift", length(), 0.035, "How high the other one lifts before it has learned.")
     .optional("own_amplitude", length(), 0.01, "How far it shakes before it has learned.")
     .optional("name", Type::String, "", "Under which name what is learned is kept, and found again the next day; empty: it is not kept.")
     .optional("own_phase", Type::quantity(Unit::RAD), 0.6, "By how much its shaking is ahead before it has learned.");
@@ -77,6 +83,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         .event(EPOCH)
         .event(PERIODS)
         .event(EPOCH_OVER)
+        .event(DISTURBANCE)
         .outcome(LOST)
         .mark(Mark::at_event(EPOCH, "epoch_started"))
         .mark(Mark::at_event(PERIODS, "periods_started"))
@@ -102,7 +109,7 @@ struct Task {
     leader: usize,
     space: Space,
     gains: FeedbackError,
-    epochs: i64,
+    epochs: usize,
     periods: f64,
     /// Of the leading and of the other hand.
     paths: [LiftAndShake; 2],
@@ -118,7 +125,6 @@ impl Task {
                 .ok_or_else(|| Failure::input(name, "from 1 to 100", value))
         };
         let space = if context.text("space")? == JOINT { Space::Joint } else { Space::Task };
-        let k1 = if space == Space::Joint { K1_JOINT } else { K1_TASK };
         let k2 = if matches!(context.value("velocity")?, Value::Bool(true)) { 1.0 } else { 0.0 };
         let (omega, duration) = (TAU / context.number("period")?, context.number("duration")?);
         let path = |lift: &str, amplitude: &str, phase: f64| -> Result<LiftAndShake, Failure> {
@@ -128,8 +134,8 @@ impl Task {
         Ok(Self {
             leader: usize::from(context.text("leads")? == "second"),
             space,
-            gains: FeedbackError { k1, k2, ..FeedbackError::default() },
-            epochs: count("epochs")?,
+            gains: FeedbackError { k1: K1, k2, ..FeedbackError::default() },
+            epochs: count("epochs")? as usize,
             periods: count("periods")? as f64,
             paths: [
                 path("lift", "amplitude", 0.0)?,
@@ -224,12 +230,26 @@ struct Learner {
 impl Learner {
     /// All epochs; returns the error of each, N.
     async fn learn(&mut self) -> Result<Vec<f64>, Stop> {
-        let mut errors = Vec::new();
-        for _ in 0..self.task.epochs {
+        let (mut errors, mut disturbed) = (Vec::new(), 0);
+        while errors.len() < self.task.epochs {
             let rest = self.rest().await?;
-            errors.push(self.epoch(&rest).await?);
             let other = 1 - self.task.leader;
-            self.control.finish(&mut self.motions[other].primitive).map_err(failed)?;
+            match self.epoch(&rest).await? {
+                Some(error) => {
+                    self.events.raise(EPOCH_OVER, Value::Null);
+                    errors.push(error);
+                    self.control.finish(&mut self.motions[other].primitive).map_err(failed)?;
+                }
+                None if disturbed == REPEATED => {
+                    let why = "something pulls or pushes the load or the hands again and again";
+                    return Err(Failure::new(why).into());
+                }
+                None => {
+                    self.events.raise(DISTURBANCE, Value::Null);
+                    disturbed += 1;
+                    self.control.abandon();
+                }
+            }
             self.fade().await?;
             self.back().await?;
         }
@@ -260,9 +280,9 @@ impl Learner {
     }
 
     /// Rests where the motions begin; returns what the hands do against each other then.
-    async fn rest(&mut self) -> Result<Vector6<f64>, Stop> {
+    async fn rest(&mut self) -> Result<Rest, Stop> {
         let (long, averaged) = RESTS;
-        let (mut time, mut mean) = (0.0, Vector6::zeros());
+        let (mut time, mut mean) = (0.0, Rest::default());
         let home = self.motions.each_ref().map(HandMotion::home);
         for hand in 0..2 {
             self.motions[hand].pull_home(self.both.arm(hand));
@@ -272,26 +292,31 @@ impl Learner {
             time += dt;
             let step = self.step(&sample, dt, &home)?;
             if time > long - averaged {
-                mean += internal(&step.forces) * (dt / averaged);
+                mean.internal += internal(&step.forces) * (dt / averaged);
+                mean.external += step.forces.external * (dt / averaged);
             }
         }
         Ok(mean)
     }
 
-    /// The lift and its periods; returns the error, N.
-    async fn epoch(&mut self, rest: &Vector6<f64>) -> Result<f64, Stop> {
+    /// The lift and its periods; returns the error, N, or `None` if it was disturbed.
+    async fn epoch(&mut self, rest: &Rest) -> Result<Option<f64>, Stop> {
         let other = 1 - self.task.leader;
         let omega = self.task.path(other).omega;
         self.motions.iter_mut().for_each(|motion| motion.primitive.restart());
         self.events.raise(EPOCH, Value::Null);
-        let (mut felt, mut shaking) = (*rest, false);
+        let (mut felt, mut carried) = (rest.internal, rest.external);
+        let (mut shaking, mut disturbed) = (false, false);
         let (mut sum, mut time) = (0.0, 0.0);
         loop {
             let (sample, dt) = self.senses.next().await?;
             let points = self.points(&sample);
             let step = self.step(&sample, dt, &points)?;
-            felt += (internal(&step.forces) - felt) * (dt / (dt + 1.0 / (TAU * FILTER)));
-            let wrench = missing(rest, &felt, &step);
+            let share = dt / (dt + 1.0 / (TAU * FILTER));
+            felt += (internal(&step.forces) - felt) * share;
+            carried += (step.forces.external - carried) * share;
+            disturbed |= rest.is_disturbed(&carried);
+            let wrench = missing(&rest.internal, &felt, &step);
             let along = wrench.fixed_rows::<3>(0).dot(&step.forces.line);
             sum += (wrench.fixed_rows::<3>(0).norm_squared() - along * along).max(0.0) * dt;
             time += dt;
@@ -308,25 +333,28 @@ impl Learner {
                 self.events.raise(PERIODS, Value::Null);
             }
             if phase >= TAU * self.task.periods {
-                self.events.raise(EPOCH_OVER, Value::Null);
-                return Ok((sum / time).sqrt());
+                return Ok((!disturbed).then(|| (sum / time).sqrt()));
             }
         }
     }
 
-    /// The error of (10) in task space or (14) in joint space, for the hand that learns.
+    /// The error for the hand that learns: (10) with the velocities of (14). It goes to the joints through the pseudoinverse in both
+    /// terms: through the transpose, as (14) has it for the wrench, motions in which the hand shifts without a turn learn slowly.
     fn error(&mut self, sample: &Sensed, wrench: &Vector6<f64>) -> Result<Vec<f64>, Failure> {
         let leader = self.task.leader;
-        let (first, _) = self.both.arm(leader).twist_and_columns(sample);
-        let (second, columns) = self.both.arm(1 - leader).twist_and_columns(sample);
-        let mut error = vec![0.0; self.motions[1 - leader].primitive.dofs()];
+        let (first, _) = self.both.twist_and_columns(leader, sample);
+        let (second, columns) = self.both.twist_and_columns(1 - leader, sample);
         let (gains, twist) = (&self.task.gains, first - second);
+        let mut task = Vector6::zeros();
+        gains.in_task_space(wrench.as_slice(), twist.as_slice(), task.as_mut_slice()).map_err(failed)?;
         match self.task.space {
-            Space::Task => gains.in_task_space(&wrench.as_slice()[..3], &twist.as_slice()[..3], &mut error),
-            Space::Joint => gains.in_joint_space(&columns, wrench, &twist, &mut error),
+            Space::Task => Ok(task.as_slice()[..3].to_vec()),
+            Space::Joint => {
+                let mut joints = vec![0.0; columns.len()];
+                joint_coupling(&columns, &task, gains.damping, &mut joints).map_err(failed)?;
+                Ok(joints)
+            }
         }
-        .map_err(failed)?;
-        Ok(error)
     }
 
     /// Comes to rest in the motion.
@@ -371,6 +399,22 @@ impl Learner {
     }
 }
 
+/// What the hands do to the load at rest.
+#[derive(Default)]
+struct Rest {
+    internal: Vector6<f64>,
+    /// What they carry, N.
+    external: Vector3<f64>,
+}
+
+impl Rest {
+    /// Whether something else than the load's weight and inertia is on the hands.
+    fn is_disturbed(&self, carried: &Vector3<f64>) -> bool {
+        let (least, share) = DISTURBED;
+        (carried - self.external).norm() > least.max(share * self.external.norm())
+    }
+}
+
 /// What the first hand does against the second one: the internal force, N, and moment, N m.
 fn internal(forces: &LoadForces) -> Vector6<f64> {
     let (f, m) = (forces.internal, forces.moment);
@@ -387,12 +431,14 @@ fn missing(rest: &Vector6<f64>, felt: &Vector6<f64>, step: &SharedLoadStep) -> V
     wanted - felt
 }
 
-/// A wrench whose force along the line between the hands counts less.
+/// A wrench whose force along the line between the hands counts less, and whose moments count more.
 fn weighted(wrench: &Vector6<f64>, step: &SharedLoadStep) -> Vector6<f64> {
     let line = step.forces.line.into_inner();
     let mut weighted = *wrench;
     let along = wrench.fixed_rows::<3>(0).dot(&line);
     let mut force = weighted.fixed_rows_mut::<3>(0);
     force -= line * (along * (1.0 - ALONG));
+    let mut moment = weighted.fixed_rows_mut::<3>(3);
+    moment *= MOMENTS;
     weighted
 }
