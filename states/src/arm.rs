@@ -6,10 +6,10 @@
 
 use std::sync::Arc;
 
-use armarium_motion::StraightLine;
+use armarium_motion::{LinePoint, StraightLine};
 use armarium_robot::{
-    DifferentialIk, Fault, IkConfig, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model, Robot,
-    Sensed, Twist, newest,
+    DifferentialIk, Fault, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId,
+    Model, Robot, Sensed, Twist, newest,
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
@@ -21,6 +21,9 @@ use crate::grasp::held_in_tcp;
 use crate::motions::failed;
 use crate::places::places_at;
 
+/// Steps of the inverse kinematics for each point of a way, and how far from it the TCP may be, m.
+const SETTLES: usize = 2;
+const OFF_THE_WAY: f64 = 0.002;
 /// Gain of the TCP's position and orientation error, 1/s.
 const TRACKING_GAIN: f64 = 12.0;
 
@@ -245,6 +248,80 @@ impl LeasedArm {
         self.model.link_pose(&sample.position, self.tcp)
     }
 
+    /// From now on the null space pulls towards these joint positions.
+    pub(crate) fn pull_towards(&mut self, posture: &[f64]) {
+        self.posture.copy_from_slice(posture);
+    }
+
+    /// The positions of its joints at a sample, in their order.
+    pub(crate) fn positions(&self, sample: &Sensed) -> Vec<f64> {
+        self.leases.joints.iter().map(|&joint| sample.position[joint]).collect()
+    }
+
+    /// Pose and velocity of the TCP with these positions and velocities of its joints, the others as in a sample.
+    pub(crate) fn tcp_with(&mut self, sample: &Sensed, q: &[f64], qd: &[f64]) -> LinePoint {
+        let (mut position, mut velocity) = (sample.position.clone(), vec![0.0; sample.position.len()]);
+        for (i, &joint) in self.leases.joints.iter().enumerate() {
+            (position[joint], velocity[joint]) = (q[i], qd[i]);
+        }
+        self.kinematics.update(&position);
+        let twist = self.kinematics.twist(self.tcp, &Point3::origin(), &velocity);
+        LinePoint { pose: *self.kinematics.pose(self.tcp), linear: twist.linear, angular: twist.angular }
+    }
+
+    /// Velocity of a point of the TCP's frame at a sample, root frame, m/s and rad/s, and the columns of its Jacobian, one per
+    /// joint.
+    pub(crate) fn twist_and_columns(
+        &mut self,
+        sample: &Sensed,
+        at: &Point3<f64>,
+    ) -> (Vector6<f64>, Vec<Vector6<f64>>) {
+        self.kinematics.update(&sample.position);
+        let twist = self.kinematics.twist(self.tcp, at, &sample.velocity);
+        let mut jacobian = Jacobian::zeros(self.leases.joints.len());
+        self.kinematics.jacobian_into(self.tcp, at, &self.leases.joints, &mut jacobian);
+        (six(&twist), jacobian.column_iter().map(|column| column.into_owned()).collect())
+    }
+
+    /// The joint positions along a way of the TCP, one every `dt` s, from those of a sample. The null space pulls towards these.
+    pub(crate) fn joints_along(
+        &mut self,
+        sample: &Sensed,
+        dt: f64,
+        way: impl Iterator<Item = LinePoint>,
+    ) -> Result<Vec<Vec<f64>>, Failure> {
+        let mut q = sample.position.clone();
+        let begin = self.positions(sample);
+        let mut all = Vec::new();
+        for point in way {
+            let mut off = f64::INFINITY;
+            for _ in 0..SETTLES {
+                let tcp = self.model.link_pose(&q, self.tcp);
+                let position = point.pose.translation.vector - tcp.translation.vector;
+                let rotation = (point.pose.rotation * tcp.rotation.inverse()).scaled_axis();
+                off = position.norm();
+                let twist = Twist { linear: position / dt, angular: rotation / dt };
+                let step = self.ik.step(&q, &twist, Some(&begin));
+                for (&joint, speed) in self.leases.joints.iter().zip(step.velocities) {
+                    q[joint] += speed * dt;
+                }
+            }
+            if off > OFF_THE_WAY {
+                let to = point.pose.translation.vector;
+                return Err(Failure::new(format!(
+                    "the arm `{}` does not reach ({:.3}, {:.3}, {:.3}) m: {:.0} mm are missing",
+                    self.limb.name,
+                    to.x,
+                    to.y,
+                    to.z,
+                    off * 1e3
+                )));
+            }
+            all.push(self.leases.joints.iter().map(|&joint| q[joint]).collect());
+        }
+        Ok(all)
+    }
+
     /// Velocity of the TCP at a sample, root frame, m/s.
     pub(crate) fn tcp_velocity(&mut self, sample: &Sensed) -> Vector3<f64> {
         self.kinematics.update(&sample.position);
@@ -311,6 +388,11 @@ impl LeasedArm {
     pub(crate) fn stand(&self) -> Result<(), Failure> {
         self.command(&vec![0.0; self.joints().len()])
     }
+}
+
+fn six(twist: &Twist) -> Vector6<f64> {
+    let (l, a) = (twist.linear, twist.angular);
+    Vector6::new(l.x, l.y, l.z, a.x, a.y, a.z)
 }
 
 /// Leases a limb, with the chart's limits. Its hand may come near to what `touches` names.

@@ -1,5 +1,6 @@
 //! Finds, reads and writes motions in working memory. A running motion is in `running_motion/`.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, Snapshot};
@@ -82,6 +83,60 @@ pub(crate) async fn keep(
     ];
     memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
     Ok(())
+}
+
+/// What one hand learned to move with the other, for a task that is told in one line.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LearnedTogether {
+    /// What the hands do, and in which space it was learned.
+    pub(crate) task: String,
+    /// From how many epochs it was learned.
+    pub(crate) epochs: u32,
+    /// The weights of the control signal (13) of the hand's motion.
+    pub(crate) control_weights: Vec<f64>,
+}
+
+impl LearnedTogether {
+    const KIND: &'static str = "control signal of a discrete-periodic DMP";
+
+    /// What was kept under a name, by any agent; `None` if nothing was.
+    pub(crate) async fn recall(memory: &dyn Memory, name: &str) -> Result<Option<Self>, Failure> {
+        let known = memory.segment(SEGMENT).await.map_err(failed)?;
+        let newest = known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns);
+        newest.map(|snapshot| Self::of(snapshot)).transpose()
+    }
+
+    fn of(snapshot: &Snapshot) -> Result<Self, Failure> {
+        let read = || {
+            let weights = snapshot.attribute("control_weights")?.as_list()?;
+            Some(Self {
+                task: snapshot.attribute("task")?.as_str()?.to_owned(),
+                epochs: u32::try_from(snapshot.attribute("epochs")?.as_int()?).ok()?,
+                control_weights: weights.iter().map(Value::as_f64).collect::<Option<_>>()?,
+            })
+        };
+        let other = || {
+            Failure::new(format!(
+                "`{}` in memory is not what a hand learned to move with another; keep this under another name",
+                snapshot.id
+            ))
+        };
+        read().ok_or_else(other)
+    }
+
+    /// Writes it as the newest version of its entity.
+    pub(crate) async fn keep(self, memory: &dyn Memory, id: &EntityId, stamp_ns: u64) -> Result<(), Failure> {
+        let weights = self.control_weights.into_iter().map(Value::Float).collect();
+        let attributes = BTreeMap::from([
+            ("name".to_owned(), Value::from(id.entity())),
+            ("kind".to_owned(), Value::from(Self::KIND)),
+            ("task".to_owned(), Value::from(self.task)),
+            ("epochs".to_owned(), Value::Int(i64::from(self.epochs))),
+            ("control_weights".to_owned(), Value::List(weights)),
+        ]);
+        memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
+        Ok(())
+    }
 }
 
 fn written(id: &EntityId, json: serde_json::Result<serde_json::Value>) -> Result<Value, Failure> {

@@ -64,7 +64,8 @@ async fn foxglove_is_told_the_topics_of_the_recording() {
     let data = std::fs::read(&path).expect("the recording exists");
     let summary = mcap::Summary::read(&data).expect("it is whole").expect("there is a summary");
     let recorded: BTreeSet<String> = summary.channels.values().map(|channel| channel.topic.clone()).collect();
-    assert_eq!(told, recorded);
+    // Topics without a message are told, but not in the file.
+    assert!(told.is_superset(&recorded), "{told:?} {recorded:?}");
     assert!(recorded.contains("/truth/tcp") && recorded.contains("/robot/joints"), "{recorded:?}");
 }
 

@@ -10,7 +10,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{SimulatedCameras, StereoRig};
-use crate::render::{Motion, SensorNoise, VisibleScene, render_pair};
+use crate::render::{ExposureMotion, SensorNoise, VisibleScene, render_pair};
 use crate::world::{AgentSpec, CameraSpec};
 
 /// The stereo pair of one agent.
@@ -69,7 +69,8 @@ impl AgentEyes {
 
     /// Draws a frame of a scene and publishes it.
     pub(crate) fn draw(&mut self, scene: &VisibleScene, exposed_ns: u64) {
-        let drawn = render_pair(scene, &self.rig.left_and_right((self.scene_from_left, Motion::default())));
+        let drawn =
+            render_pair(scene, &self.rig.left_and_right((self.scene_from_left, ExposureMotion::default())));
         let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;
         let stamp_ns = self.rig.stamp(exposed_ns);

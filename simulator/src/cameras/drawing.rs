@@ -12,7 +12,7 @@ use crate::coach::CoachState;
 use crate::person;
 use crate::render::hand::{HandPose, hand_shapes};
 use crate::render::robot::{link_shapes, robot_shapes};
-use crate::render::{Bump, DirtTexture, Motion, Shape, VisibleForm, VisibleScene};
+use crate::render::{Bump, DirtTexture, ExposureMotion, Shape, VisibleForm, VisibleScene};
 use crate::start::{self, RobotStart};
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::world::{CoverSpec, World};
@@ -200,7 +200,7 @@ impl Drawing {
             let shapes = self.shapes_at(self.before.iter(), &then);
             let poses = shapes.iter().zip(&scene.shapes);
             let motion = |(then, now): (&Shape, &Shape)| {
-                Motion::between(&then.scene_from_shape, &now.scene_from_shape, self.exposure)
+                ExposureMotion::between(&then.scene_from_shape, &now.scene_from_shape, self.exposure)
             };
             scene.motions = poses.map(motion).collect();
         }

@@ -10,6 +10,7 @@ mod force_coaching;
 mod force_guiding;
 mod imitate_motion;
 mod keep_motion;
+mod learn_together;
 mod locate_object;
 mod look_around;
 mod look_at;
@@ -75,6 +76,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(force_guiding::skill(equipment)),
         Arc::new(squeeze_together::skill(equipment)),
         Arc::new(carry_together::skill(equipment)),
+        Arc::new(learn_together::skill(equipment)),
         Arc::new(put_down_together::skill(equipment)),
         Arc::new(vision_coaching::skill(equipment)),
         Arc::new(watch_coach::skill(equipment)),
