@@ -251,7 +251,8 @@ mod tests {
                     slipping: 0,
                 };
                 let hands = [hand(1.0, 1.0), hand(-1.0, 1.0 + higher)];
-                let pose = Isometry3::translation(0.0, 0.5, 1.0);
+                // The load is carried in the middle between both hands.
+                let pose = Isometry3::translation(0.0, 0.5, 1.0 + higher / 2.0);
                 log.pressed.push((ms * 1_000_000, PressedLoad { body: 0, hands, table_n: 0.0 }, pose));
             }
             let at = |ms: u64| (begin + ms) * 1_000_000;
