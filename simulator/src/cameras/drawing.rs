@@ -33,7 +33,7 @@ pub(crate) struct RobotState<'a> {
     pub(crate) sensed: &'a [f64],
 }
 
-/// Where everything was that moves, [`SINCE_MOMENT`] before a frame: how it moves follows from that.
+/// Where everything was that moves, `SINCE_MOMENT` before a frame: how it moves follows from that.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moment {
     /// True joint positions of the robots, rad (m), in the world's order.
