@@ -91,7 +91,6 @@ pub(crate) struct RunArgs {
     #[arg(long)]
     pub(crate) live_hold: bool,
     /// Serve the topics of the recording to Foxglove on this port of this machine (0: one that is free); its address is printed.
-    #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
     pub(crate) foxglove: Option<u16>,
     #[command(flatten)]
@@ -185,7 +184,6 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         largest_recording: args.largest_recording,
         live: Some(LiveOptions { address, control: args.live_control })
             .filter(|_| args.live.live || args.live_control || args.live_hold),
-        #[cfg(feature = "foxglove")]
         foxglove_port: args.foxglove,
         ..RunConfig::new(&args.chart)
     };

@@ -163,7 +163,8 @@ fn a_run_is_the_same_with_readers_that_never_read_reload_and_ask_for_all() {
 
 #[test]
 fn strangers_are_refused_and_harm_nothing() {
-    let run = Run::start(SWINGS, &["--live-control"]);
+    // In real time it lasts until all has been tried.
+    let run = Run::start(SWINGS, &["--live-control", "--speed", "1"]);
     let host = run.address().to_owned();
     let status = |answer: &str| answer.split(' ').nth(1).unwrap_or("none").to_owned();
     assert_eq!(status(&run.get("/", "")), "200");
@@ -225,13 +226,16 @@ fn a_recording_that_is_none_says_so() {
 /// The folder of the npm packages and the browser.
 fn browser() -> Option<(PathBuf, PathBuf)> {
     let modules = std::env::var_os("ARMARIUM_NODE_MODULES").map(PathBuf::from);
-    let modules = modules
-        .filter(|folder| ["playwright-core", "axe-core"].iter().all(|name| folder.join(name).is_dir()));
+    let modules = modules.filter(|folder| {
+        ["playwright-core", "axe-core", "@foxglove/ws-protocol", "ws"]
+            .iter()
+            .all(|name| folder.join(name).is_dir())
+    });
     let chromium = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let chromium = chromium.iter().map(PathBuf::from).find(|file| file.is_file());
     if modules.is_none() || chromium.is_none() {
         outside::not_run(
-            "a browser needs Debian's chromium, and the npm packages playwright-core and axe-core in ARMARIUM_NODE_MODULES",
+            "a browser needs Debian's chromium, and the npm packages playwright-core, axe-core, @foxglove/ws-protocol and ws in ARMARIUM_NODE_MODULES",
         );
     }
     modules.zip(chromium)
@@ -393,6 +397,22 @@ fn every_view_looks_as_it_did() {
         let (mean, share) =
             difference(&kept.join(format!("{other}.png")), &kept.join(format!("{}.png", names[0])));
         assert!(mean > 5.0 || share > 0.05, "{other}: {mean:.1}, {share:.2}");
+    }
+}
+
+#[test]
+fn foxglove_follows_a_run() {
+    let run = Run::start(SWINGS, &["--live", "--foxglove", "0", "--speed", "1", "--for", "60s"]);
+    let address = run.before.split_whitespace().find(|word| word.starts_with("ws://127.0.0.1:"));
+    let address = address.unwrap_or_else(|| panic!("it is said where: {}", run.before));
+    let Some((modules, _)) = browser() else { return };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/foxglove.mjs");
+    let told = Command::new("node").arg(script).arg(modules).arg(address).output().unwrap();
+    let (out, err) = (String::from_utf8_lossy(&told.stdout), String::from_utf8_lossy(&told.stderr));
+    assert!(told.status.success(), "{err}");
+    let came: Json = serde_json::from_str(&out).unwrap();
+    for topic in ["/robot/joints foxglove.JointStates", "/tf foxglove.FrameTransforms"] {
+        assert!(came[topic].as_u64().unwrap_or(0) > 20, "{topic}: {came}");
     }
 }
 

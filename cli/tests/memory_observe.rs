@@ -52,3 +52,29 @@ fn a_line_is_an_observation_and_the_updater_joins_them() {
         assert!(said.contains(wrong), "{said}");
     }
 }
+
+/// A recording has poses in Foxglove's schema, and only data of one clock.
+#[test]
+fn what_was_observed_is_exported_for_foxglove() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    assert!(armarium(folder.path(), &["import", "-"], "").status.success());
+    let lines = format!("{}{}", cup(0.1), cup(0.12));
+    assert!(armarium(folder.path(), &["observe", "--provider", "door"], &lines).status.success());
+    let exported = armarium(folder.path(), &["export", "-o", "cups.mcap"], "");
+    assert_eq!(String::from_utf8_lossy(&exported.stdout), "2 snapshots\n", "{exported:?}");
+    let recording = std::fs::read(folder.path().join("cups.mcap")).expect("it is there");
+    let has = |words: &str| recording.windows(words.len()).any(|part| part == words.as_bytes());
+    assert!(has("foxglove.PoseInFrame") && has("/memory/ObjectInstances/door/position/cup"));
+    assert!(has("/memory/ObjectInstances/door/cup"));
+
+    let put = armarium(folder.path(), &["put", "Notes/me/today", "--set", "text=now"], "");
+    assert!(put.status.success(), "{put:?}");
+    let mixed = armarium(folder.path(), &["export", "-o", "all.mcap"], "");
+    assert_eq!(mixed.status.code(), Some(2), "{mixed:?}");
+    assert!(String::from_utf8_lossy(&mixed.stderr).contains("not on one timeline"), "{mixed:?}");
+    // The same two clocks in a query.
+    let asked = armarium(folder.path(), &["query", "*", "--at", "7"], "");
+    assert!(String::from_utf8_lossy(&asked.stderr).contains("it asks by a run's time"), "{asked:?}");
+    let named = armarium(folder.path(), &["query", "ObjectInstances", "--at", "7"], "");
+    assert!(String::from_utf8_lossy(&named.stdout).contains("\"referenced_clock\":\"run\""), "{named:?}");
+}

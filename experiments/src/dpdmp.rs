@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 use armarium_motion::{
     CanonicalRule, CanonicalSystem, DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl,
-    LearningControlConfig, TimeSample,
+    LearningControlConfig, TimeSample, rise,
 };
 use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 
@@ -103,20 +103,6 @@ impl Demonstration {
         let of = |i: usize| both.iter().map(|v| v[i]).collect();
         TimeSample { t, y: of(0), yd: of(1), ydd: of(2) }
     }
-}
-
-/// Position, velocity and acceleration at `t` s of the fifth-order polynomial from rest at 0 to `end` at
-/// `duration` s.
-pub(super) fn rise(end: [f64; 3], duration: f64, t: f64) -> [f64; 3] {
-    let s = t / duration;
-    let [y, v, a] = [end[0], end[1] * duration, end[2] * duration * duration];
-    let c = [10.0 * y - 4.0 * v + 0.5 * a, 7.0 * v - 15.0 * y - a, 6.0 * y - 3.0 * v + 0.5 * a];
-    let sum = |f: &dyn Fn(f64) -> f64| (3..6).zip(c).map(|(k, c)| c * f(f64::from(k))).sum::<f64>();
-    [
-        sum(&|k| s.powf(k)),
-        sum(&|k| k * s.powf(k - 1.0)) / duration,
-        sum(&|k| k * (k - 1.0) * s.powf(k - 2.0)) / (duration * duration),
-    ]
 }
 
 /// A replay: actual and reference positions, one entry per step.
@@ -334,12 +320,5 @@ mod tests {
             assert!((ours / theirs - 1.0).abs() < 0.05, "{ours} {theirs}");
         }
         assert!(values("rmse_modified").iter().all(|e| *e < 1e-4));
-    }
-
-    #[test]
-    fn the_rise_ends_in_the_state_asked_for() {
-        let [y, v, a] = rise([0.7, -3.0, 12.0], 0.8, 0.8);
-        assert!((y - 0.7).abs() < 1e-12 && (v + 3.0).abs() < 1e-12 && (a - 12.0).abs() < 1e-10);
-        assert_eq!(rise([0.7, -3.0, 12.0], 0.8, 0.0), [0.0; 3]);
     }
 }

@@ -10,11 +10,10 @@ use armarium_simulator::World;
 use armarium_values::report::Picture;
 use armarium_visionx::providers::convert::jpeg;
 use armarium_visionx::{
-    BoxModel, ColorModel, HandObserver, ImageError, ImageSource, ObjectLocalizer, RgbImage,
-    StereoCalibration, StereoFrame, annotate, components,
+    ColorModel, HandObserver, ImageError, ImageSource, ObjectLocalizer, RgbImage, StereoCalibration,
+    StereoFrame, annotate, components,
 };
 use async_trait::async_trait;
-use nalgebra::Vector3;
 use parking_lot::Mutex;
 
 use crate::recording::SharedRecorder;
@@ -39,15 +38,15 @@ pub(crate) struct FrameSampler {
 
 /// What the pictures are searched for.
 struct SearchTargets {
-    objects: Vec<(String, BoxModel)>,
+    /// Names, edge lengths, m, and colours.
+    objects: Vec<(String, [f64; 3], [u8; 3])>,
     tool: ColorModel,
 }
 
 impl FrameSampler {
     /// A sampler between these cameras and their readers.
     pub(crate) fn of(cameras: Arc<dyn ImageSource>, world: &World, recorder: SharedRecorder) -> Self {
-        let model = |size, color| BoxModel { size: Vector3::from(size), color: ColorModel::from_rgb(color) };
-        let objects = world.objects.iter().map(|o| (o.name.clone(), model(o.size, o.color))).collect();
+        let objects = world.objects.iter().map(|o| (o.name.clone(), o.size, o.color)).collect();
         let known = SearchTargets { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
         Self { cameras, kept: Mutex::default(), newest: Mutex::default(), known, recorder }
     }
@@ -101,8 +100,8 @@ impl SearchTargets {
     ) -> Option<Picture> {
         let mut image: RgbImage = frame.left.clone();
         let mut seen = Vec::new();
-        for (name, model) in &self.objects {
-            let Some(found) = ObjectLocalizer::new(calibration, model.clone()).localize(frame) else {
+        for (name, size, color) in &self.objects {
+            let Some(found) = ObjectLocalizer::new(calibration, *size, *color).localize(frame) else {
                 continue;
             };
             annotate::object(&mut image, &found);

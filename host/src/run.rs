@@ -373,13 +373,10 @@ impl Stage {
             live.timeline.begin(header);
             opened.tell(Arc::new(live.timeline.clone()));
         }
-        #[cfg(feature = "foxglove")]
         if let Some(port) = config.foxglove_port {
             let address = opened.serve_foxglove(port)?;
             console.note(&format!("Foxglove finds this run at {address}"));
         }
-        #[cfg(not(feature = "foxglove"))]
-        let _ = console;
         self.recorder.begin(opened);
         Ok(())
     }

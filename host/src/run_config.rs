@@ -72,7 +72,6 @@ pub struct RunConfig {
     /// The page that shows the run while it goes on.
     pub live: Option<LiveOptions>,
     /// The port of this machine on which Foxglove finds the topics of the recording, 0 for any that is free.
-    #[cfg(feature = "foxglove")]
     pub foxglove_port: Option<u16>,
 }
 
@@ -103,7 +102,6 @@ impl RunConfig {
             longest: None,
             largest_recording: None,
             live: None,
-            #[cfg(feature = "foxglove")]
             foxglove_port: None,
         }
     }

@@ -6,9 +6,12 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use armarium_bus::Session;
+use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::JoinSet;
 
 use crate::error::MemoryError;
@@ -113,6 +116,50 @@ pub struct AgentMemory {
     server: Option<MemoryServer>,
     inferences: Vec<RunningInference>,
     tasks: JoinSet<()>,
+    _reading: Option<Reading>,
+}
+
+/// The thread that reads long-term memory into working memory after the start. Dropping it ends it.
+struct Reading {
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Reading {
+    /// Reads everything: beside all others where the runtime has several threads, and at once where it has one, because virtual
+    /// time does not wait for another thread.
+    fn start(store: &Arc<LongTermMemory>, memory: &Arc<WorkingMemory>) -> Result<Self, MemoryError> {
+        let ended = Arc::new(AtomicBool::new(false));
+        let many = Handle::try_current().is_ok_and(|h| h.runtime_flavor() == RuntimeFlavor::MultiThread);
+        if !many {
+            store.load_into(memory, Pattern::any())?;
+            memory.set_partial(false);
+            return Ok(Self { ended, thread: None });
+        }
+        let (store, memory, stop) = (Arc::clone(store), Arc::clone(memory), Arc::clone(&ended));
+        let read = move || {
+            let goes_on = || !stop.load(Ordering::Acquire);
+            match store.load_while(&memory, Pattern::any(), &goes_on) {
+                Ok(_) if goes_on() => memory.set_partial(false),
+                Ok(_) => {}
+                Err(error) => {
+                    tracing::error!(%error, "long-term memory could not be read into working memory")
+                }
+            }
+        };
+        let thread = std::thread::Builder::new().name("memory-reading".into()).spawn(read);
+        let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread to read it: {e}") })?;
+        Ok(Self { ended, thread: Some(thread) })
+    }
+}
+
+impl Drop for Reading {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
 }
 
 impl fmt::Debug for AgentMemory {
@@ -122,7 +169,8 @@ impl fmt::Debug for AgentMemory {
 }
 
 impl AgentMemory {
-    /// Opens the file and restores its content. Nothing is shared yet.
+    /// Opens the file and restores its content. Where everything is restored and the runtime has several threads, that goes on
+    /// after this returns: until then, what was not read yet is looked up in the file. Nothing is shared yet.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
@@ -134,14 +182,21 @@ impl AgentMemory {
             let store = Arc::new(open(file)?);
             let consolidator = Arc::new(Consolidator::new(Arc::clone(&store), config.policies.clone())?);
             memory = memory.with_backing(Arc::clone(&consolidator) as Arc<dyn Backing>);
-            for segment in store.segments()?.iter().filter(|segment| config.restored.has(segment)) {
-                store.load_into(&memory, Pattern::segment(segment))?;
+            if config.restored == Restored::All {
+                memory.set_partial(true);
+            } else {
+                for segment in store.segments()?.iter().filter(|segment| config.restored.has(segment)) {
+                    store.load_into(&memory, Pattern::segment(segment))?;
+                }
             }
             kept = Some(consolidator);
         }
         config.prior.put_into(&memory)?;
         let memory = Arc::new(memory);
-        Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks: JoinSet::new() })
+        let reading = kept.as_ref().filter(|_| config.restored == Restored::All);
+        let reading = reading.map(|kept| Reading::start(kept.store(), &memory)).transpose()?;
+        let tasks = JoinSet::new();
+        Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks, _reading: reading })
     }
 
     /// Serves the memory over `session`, follows other agents, runs inferences and retention, as the configuration
@@ -259,7 +314,7 @@ async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, ret
     loop {
         tokio::time::sleep(RETENTION_INTERVAL).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());
-        match tokio::task::spawn_blocking(move || store.retain(retention, now_ns)).await {
+        match tokio::task::spawn_blocking(move || store.keep_within(retention, now_ns)).await {
             Ok(Ok(dropped)) if dropped.over > 0 => {
                 tracing::warn!(
                     bytes = dropped.over,

@@ -1,7 +1,7 @@
 //! A subscription to a memory: every later change of the entities that match a pattern, those of each entity in order.
 //! What was lost is noticed here, and read again by [`crate::Follower`].
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use async_trait::async_trait;
 use tokio::sync::broadcast;
@@ -14,6 +14,35 @@ use crate::query::Pattern;
 pub struct Changes {
     pattern: Pattern,
     source: Box<dyn ChangeSource>,
+}
+
+/// Snapshots of so many bytes are not kept for those who have not taken them yet.
+const LARGE_BYTES: u64 = 16 << 10;
+
+/// A change as a memory tells it in its process. Until the slowest subscriber has taken it, a small snapshot is kept, and a large
+/// one as long as the memory has it: so what waits is bounded in bytes.
+#[derive(Clone, Debug)]
+pub(crate) enum Told {
+    Small(Arc<Snapshot>),
+    Large(Weak<Snapshot>),
+}
+
+impl Told {
+    pub(crate) fn of(snapshot: &Arc<Snapshot>) -> Self {
+        if snapshot.bytes() < LARGE_BYTES {
+            Self::Small(Arc::clone(snapshot))
+        } else {
+            Self::Large(Arc::downgrade(snapshot))
+        }
+    }
+
+    /// The snapshot, unless the memory has forgotten it.
+    fn take(self) -> Option<Arc<Snapshot>> {
+        match self {
+            Self::Small(snapshot) => Some(snapshot),
+            Self::Large(snapshot) => snapshot.upgrade(),
+        }
+    }
 }
 
 /// Where changes come from.
@@ -37,7 +66,7 @@ impl Changes {
     }
 
     /// The changes that this process's memory sends.
-    pub(crate) fn here(pattern: Pattern, receiver: broadcast::Receiver<Arc<Snapshot>>) -> Self {
+    pub(crate) fn here(pattern: Pattern, receiver: broadcast::Receiver<Told>) -> Self {
         Self::new(pattern, Here { receiver, until_ns: 0 })
     }
 
@@ -87,20 +116,20 @@ impl Changes {
 
 /// The changes of a memory in this process, which come in the order of their arrival.
 struct Here {
-    receiver: broadcast::Receiver<Arc<Snapshot>>,
+    receiver: broadcast::Receiver<Told>,
     until_ns: u64,
 }
 
 #[async_trait]
 impl ChangeSource for Here {
     async fn recv(&mut self) -> Result<Arc<Snapshot>, RecvError> {
-        let change = self.receiver.recv().await?;
+        let change = self.receiver.recv().await?.take().ok_or(RecvError::Lagged(1))?;
         self.until_ns = change.arrived_ns;
         Ok(change)
     }
 
     fn try_recv(&mut self) -> Result<Arc<Snapshot>, TryRecvError> {
-        let change = self.receiver.try_recv()?;
+        let change = self.receiver.try_recv()?.take().ok_or(TryRecvError::Lagged(1))?;
         self.until_ns = change.arrived_ns;
         Ok(change)
     }

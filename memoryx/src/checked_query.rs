@@ -9,6 +9,7 @@ use crate::error::MemoryError;
 use crate::filter::Filter;
 use crate::place::{SpatialRegion, distance, place_of};
 use crate::query::{Cursor, Query, Times};
+use crate::time_of::TimeOf;
 
 /// Limits of a nearest-first selection: after so many snapshots, or bytes of them, only the nearest are kept.
 const MIN_NEAREST: usize = 1024;
@@ -21,17 +22,19 @@ const PAUSE: usize = 16;
 pub struct CheckedQuery<'q> {
     pub(crate) query: &'q Query,
     pub(crate) filter: Option<Filter>,
+    /// The clock of the times that it names.
+    pub(crate) clock: Option<TimeOf>,
 }
 
 impl Query {
     /// Checks the query.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when its filter or region is invalid.
+    /// [`MemoryError::Query`] when its filter or region is invalid, or its times are of two clocks.
     pub fn check(&self) -> Result<CheckedQuery<'_>, MemoryError> {
         self.region.as_ref().map_or(Ok(()), SpatialRegion::check)?;
         let filter = self.filter.as_deref().map(Filter::compile).transpose()?;
-        Ok(CheckedQuery { query: self, filter })
+        Ok(CheckedQuery { query: self, filter, clock: self.times.clock()? })
     }
 }
 
@@ -102,6 +105,7 @@ impl CheckedQuery<'_> {
             goes_on,
             looked_at: 0,
             stopped: None,
+            other_clock: None,
             found: Vec::new(),
             bytes: 0,
             left: MIN_NEAREST,
@@ -183,6 +187,8 @@ pub(crate) struct Selection<'a> {
     looked_at: usize,
     /// The position up to which everything was looked at, when the answer ended early.
     stopped: Option<Cursor>,
+    /// An entity that is of another clock than the query's times.
+    other_clock: Option<EntityId>,
     found: Vec<Arc<Snapshot>>,
     /// Bytes of `found`; counted only when the query bounds them.
     bytes: u64,
@@ -215,16 +221,27 @@ impl Selection<'_> {
 
     /// Adds the selection from one entity's snapshots. Entities come in order of address. Returns whether further ones
     /// are to be looked at.
-    pub(crate) fn consider<H>(&mut self, id: &EntityId, history: impl FnOnce() -> H) -> bool
+    pub(crate) fn consider<H>(&mut self, id: &EntityId, history: impl Fn() -> H) -> bool
     where
         H: DoubleEndedIterator<Item = Arc<Snapshot>>,
     {
         if !self.is_full() && self.asked.wants(id) {
+            self.note_clock(id, || history().next_back().map(|newest| newest.referenced_ns));
             self.extend(self.asked.select(history()));
         }
         self.looked_at += 1;
         let may_pause = self.looked_at.is_multiple_of(PAUSE);
         if may_pause { self.looks_on(|| Cursor::behind(id)) } else { !self.is_full() }
+    }
+
+    /// Compares the clock of an entity's newest snapshot with that of the query's times.
+    pub(crate) fn note_clock(&mut self, id: &EntityId, newest_ns: impl FnOnce() -> Option<u64>) {
+        if let Some(clock) = self.asked.clock
+            && self.other_clock.is_none()
+            && newest_ns().is_some_and(|time| TimeOf::of(time) != clock)
+        {
+            self.other_clock = Some(id.clone());
+        }
     }
 
     /// Whether what follows a position, up to which everything was looked at, is to be looked at.
@@ -247,9 +264,15 @@ impl Selection<'_> {
     ///
     /// # Errors
     /// [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be among what was not
-    /// looked at.
+    /// looked at; when an entity is of another clock than the query's times.
     pub(crate) fn finish(self) -> Result<Answer, MemoryError> {
         let query = self.asked.query;
+        if let (Some(id), Some(clock)) = (&self.other_clock, self.asked.clock) {
+            let other = if clock == TimeOf::Run { TimeOf::Day } else { TimeOf::Run };
+            let what =
+                format!("it asks by {clock}, and `{id}` is of {other}: ask for the entities of one clock");
+            return Err(MemoryError::Query { what });
+        }
         if let Some(end) = self.stopped.as_ref().filter(|_| query.is_nearest()) {
             return Err(end.too_slow());
         }

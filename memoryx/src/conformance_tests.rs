@@ -35,6 +35,7 @@ pub(crate) async fn check(memory: &dyn Memory) {
     an_expected_version_is_compared(memory).await;
     removal_keeps_the_count(memory).await;
     queries_take_what_they_ask_for(memory).await;
+    times_of_two_clocks_are_refused(memory).await;
     subscribers_hear_everything_in_order(memory).await;
     modification_sees_the_newest(memory).await;
     bad_commits_are_refused(memory).await;
@@ -90,6 +91,18 @@ async fn queries_take_what_they_ask_for(memory: &dyn Memory) {
         let found: Vec<_> = found.iter().map(|s| (s.id.entity(), s.version)).collect();
         assert_eq!(found, expected, "{query:?}");
     }
+}
+
+async fn times_of_two_clocks_are_refused(memory: &dyn Memory) {
+    let day = 1_800_000_000_000_000_000;
+    let refused =
+        |query: Query| async move { matches!(memory.query(&query).await, Err(MemoryError::Query { .. })) };
+    let c = || Query::latest(Pattern::entity(&id("c")));
+    assert!(refused(c().times(Times::At(day))).await, "`c` is of a run");
+    assert!(refused(c().times(Times::Before(day)).with_long_term()).await);
+    assert!(refused(c().times(Times::Between(day, u64::MAX))).await);
+    assert!(refused(c().times(Times::Between(4, day))).await, "from one clock to the other");
+    assert_eq!(memory.query(&c().times(Times::Between(0, u64::MAX))).await.unwrap().len(), 5);
 }
 
 async fn subscribers_hear_everything_in_order(memory: &dyn Memory) {

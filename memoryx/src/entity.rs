@@ -17,6 +17,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::attributes::Attributes;
 use crate::error::MemoryError;
+use crate::time_of::TimeOf;
 
 /// Longest name in an address, bytes.
 const MAX_NAME_BYTES: usize = 200;
@@ -50,7 +51,7 @@ pub struct Snapshot {
     pub id: EntityId,
     /// Counts the entity's snapshots from 1.
     pub version: u64,
-    /// The time that the data describe, ns.
+    /// The time that the data describe, ns, of the clock that [`Self::clock`] names.
     pub referenced_ns: u64,
     /// When it was sent, ns.
     pub sent_ns: u64,
@@ -283,6 +284,11 @@ impl Snapshot {
     /// When the memory removes the entity, ns by its own clock: the attribute `expires_ns`, an integer.
     pub fn expires_ns(&self) -> Option<u64> {
         u64::try_from(self.attribute("expires_ns")?.as_int()?).ok()
+    }
+
+    /// Of which clock the time is that its data describe.
+    pub fn clock(&self) -> TimeOf {
+        TimeOf::of(self.referenced_ns)
     }
 
     /// Whether this snapshot is a removal.

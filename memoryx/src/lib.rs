@@ -33,6 +33,7 @@ mod schema;
 mod server;
 pub mod share;
 mod store;
+mod time_of;
 pub mod updater;
 pub mod wire;
 mod working;
@@ -60,6 +61,7 @@ pub use store::{
     Coding, Consolidator, Dropped, EntityChange, LongTermMemory, NamedSnapshot, Policies, Policy, Retention,
     StoreError, StoreStats, Verification,
 };
+pub use time_of::TimeOf;
 pub use working::{Archive, Backing, Clock, MemoryLimits, WorkingMemory, tokio_clock};
 
 #[cfg(test)]

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
 use crate::place::SpatialRegion;
+use crate::time_of::TimeOf;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or `None` for any.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -20,7 +22,8 @@ pub struct Pattern {
     pub entity: Option<String>,
 }
 
-/// Which of an entity's snapshots. Times are those that the data describe (`referenced_ns`).
+/// Which of an entity's snapshots. Times are those that the data describe (`referenced_ns`), and of one clock ([`TimeOf`]):
+/// where an entity that matches is of the other one, the query is refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Times {
@@ -40,6 +43,31 @@ pub enum Times {
     Index(i64, i64),
     /// From the first version to the second, both included; removals included.
     Versions(u64, u64),
+}
+
+impl Times {
+    /// The clock of the times that it names, if it names any.
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`] when they are of two clocks.
+    pub(crate) fn clock(self) -> Result<Option<TimeOf>, MemoryError> {
+        match self {
+            Self::At(time) | Self::Before(time) => Ok(Some(TimeOf::of(time))),
+            // An end that is open is of either.
+            Self::Between(0, u64::MAX) => Ok(None),
+            Self::Between(0, time) | Self::Between(time, u64::MAX) => Ok(Some(TimeOf::of(time))),
+            Self::Between(from, to) if TimeOf::of(from) != TimeOf::of(to) => {
+                let what = format!(
+                    "{from} ns is {}, {to} ns is {}: name times of one clock",
+                    TimeOf::of(from),
+                    TimeOf::of(to)
+                );
+                Err(MemoryError::Query { what })
+            }
+            Self::Between(from, _) => Ok(Some(TimeOf::of(from))),
+            Self::Latest | Self::All | Self::Index(..) | Self::Versions(..) => Ok(None),
+        }
+    }
 }
 
 /// A position in the order of an answer.
@@ -233,7 +261,6 @@ fn fits_stars(pattern: &str, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::MemoryError;
 
     #[test]
     fn stars_stand_for_any_characters() {

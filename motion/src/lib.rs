@@ -32,6 +32,7 @@ mod fourier;
 mod friction;
 mod ilc;
 mod imitation;
+mod lift_and_shake;
 mod motion;
 mod movement;
 mod orientation;
@@ -66,6 +67,7 @@ pub use field::{
 pub use friction::{FrictionConfig, FrictionModel};
 pub use ilc::{FeedbackError, LearningControl, LearningControlConfig};
 pub use imitation::Imitation;
+pub use lift_and_shake::{LiftAndShake, rise};
 pub use motion::{Motion, MotionDof, MotionSwitch};
 pub use movement::{Movement, MovementPlay};
 pub use orientation::{DiscreteOrientationDmp, OrientationState, PeriodicOrientationDmp};

@@ -13,7 +13,8 @@ use armarium_robot::{Kinematics, Model};
 use armarium_simulator::render::hand::{HandPose, hand_shapes};
 use armarium_simulator::render::robot::robot_shapes;
 use armarium_simulator::render::{
-    Bump, DirtTexture, Motion, SensorNoise, Shape, Viewpoint, VisibleForm, VisibleScene, render, render_pair,
+    Bump, DirtTexture, ExposureMotion, SensorNoise, Shape, Viewpoint, VisibleForm, VisibleScene, render,
+    render_pair,
 };
 use armarium_visionx::{Gesture, PinholeCamera, annotate};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -29,7 +30,7 @@ fn main() -> std::io::Result<()> {
     let cameras = robot.model().camera().expect("the robot has cameras");
     let [left, right] = [cameras.left, cameras.right].map(|eye| Viewpoint {
         scene_from_camera: *robot.pose(eye),
-        motion: Motion::default(),
+        motion: ExposureMotion::default(),
         camera: CAMERA,
     });
     let noise = SensorNoise::new(2.0, 1);

@@ -6,9 +6,10 @@
 
 use std::sync::Arc;
 
+use armarium_motion::{LinePoint, StraightLine};
 use armarium_robot::{
-    DifferentialIk, Fault, IkConfig, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model, Robot,
-    Sensed, Twist, newest,
+    DifferentialIk, Fault, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId,
+    Model, Robot, Sensed, Twist, newest,
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
@@ -17,8 +18,12 @@ use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
 use crate::grasp::held_in_tcp;
+use crate::motions::failed;
 use crate::places::places_at;
 
+/// Steps of the inverse kinematics for each point of a way, and how far from it the TCP may be, m.
+const SETTLES: usize = 2;
+const OFF_THE_WAY: f64 = 0.002;
 /// Gain of the TCP's position and orientation error, 1/s.
 const TRACKING_GAIN: f64 = 12.0;
 
@@ -143,19 +148,9 @@ pub(crate) struct ArmLeases {
 }
 
 impl ArmLeases {
-    /// Leases an arm, with the limbs that help it, as far as nobody else commands them. Its hand may come near to the places in
-    /// memory at which it is, or would be with its TCP at one of `targets` (root frame).
+    /// Leases an arm, with these helpers as far as nobody else commands them. Its hand may come near to the places in memory at which it
+    /// is, or would be with its TCP at one of `targets` (root frame).
     pub(crate) async fn take(
-        equipment: &Equipment,
-        context: &SkillContext,
-        arm: &Limb,
-        targets: &[Isometry3<f64>],
-    ) -> Result<Self, Failure> {
-        Self::take_with(equipment, context, arm, (&arm.helped_by, targets)).await
-    }
-
-    /// The same with these helpers.
-    async fn take_with(
         equipment: &Equipment,
         context: &SkillContext,
         arm: &Limb,
@@ -187,9 +182,9 @@ impl ArmLeases {
 
 /// An arm and what helps it, with their leases.
 pub(crate) struct LeasedArm {
-    leases: ArmLeases,
+    pub(crate) leases: ArmLeases,
     model: Arc<Model>,
-    limb: Limb,
+    pub(crate) limb: Limb,
     tcp: LinkId,
     ik: DifferentialIk,
     kinematics: Kinematics,
@@ -205,12 +200,8 @@ impl LeasedArm {
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
         let limb = chosen(equipment, context)?;
-        Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, targets).await?)
-    }
-
-    /// Leases the arm that the input names, without what helps it.
-    pub(crate) async fn take_alone(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        Self::take_limb(equipment, context, chosen(equipment, context)?, &[]).await
+        let leases = ArmLeases::take(equipment, context, limb, (&limb.helped_by, targets)).await?;
+        Self::with(equipment, limb, leases)
     }
 
     /// Leases an arm without what helps it, whose TCP goes to `targets`.
@@ -220,7 +211,7 @@ impl LeasedArm {
         limb: &Limb,
         targets: &[Isometry3<f64>],
     ) -> Result<Self, Failure> {
-        Self::with(equipment, limb, ArmLeases::take_with(equipment, context, limb, (&[], targets)).await?)
+        Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, (&[], targets)).await?)
     }
 
     /// From now on the null space pulls towards the posture of a sample.
@@ -235,16 +226,6 @@ impl LeasedArm {
         let ik = DifferentialIk::new(&model, tcp, &leases.joints, IkConfig::default());
         let kinematics = Kinematics::new(&model);
         Ok(Self { leases, limb: limb.clone(), model, tcp, ik, kinematics, posture })
-    }
-
-    /// What it is.
-    pub(crate) fn limb(&self) -> &Limb {
-        &self.limb
-    }
-
-    /// Its leases.
-    pub(crate) fn leases(&self) -> &ArmLeases {
-        &self.leases
     }
 
     /// The joints with which it reaches.
@@ -267,6 +248,80 @@ impl LeasedArm {
         self.model.link_pose(&sample.position, self.tcp)
     }
 
+    /// From now on the null space pulls towards these joint positions.
+    pub(crate) fn pull_towards(&mut self, posture: &[f64]) {
+        self.posture.copy_from_slice(posture);
+    }
+
+    /// The positions of its joints at a sample, in their order.
+    pub(crate) fn positions(&self, sample: &Sensed) -> Vec<f64> {
+        self.leases.joints.iter().map(|&joint| sample.position[joint]).collect()
+    }
+
+    /// Pose and velocity of the TCP with these positions and velocities of its joints, the others as in a sample.
+    pub(crate) fn tcp_with(&mut self, sample: &Sensed, q: &[f64], qd: &[f64]) -> LinePoint {
+        let (mut position, mut velocity) = (sample.position.clone(), vec![0.0; sample.position.len()]);
+        for (i, &joint) in self.leases.joints.iter().enumerate() {
+            (position[joint], velocity[joint]) = (q[i], qd[i]);
+        }
+        self.kinematics.update(&position);
+        let twist = self.kinematics.twist(self.tcp, &Point3::origin(), &velocity);
+        LinePoint { pose: *self.kinematics.pose(self.tcp), linear: twist.linear, angular: twist.angular }
+    }
+
+    /// Velocity of a point of the TCP's frame at a sample, root frame, m/s and rad/s, and the columns of its Jacobian, one per
+    /// joint.
+    pub(crate) fn twist_and_columns(
+        &mut self,
+        sample: &Sensed,
+        at: &Point3<f64>,
+    ) -> (Vector6<f64>, Vec<Vector6<f64>>) {
+        self.kinematics.update(&sample.position);
+        let twist = self.kinematics.twist(self.tcp, at, &sample.velocity);
+        let mut jacobian = Jacobian::zeros(self.leases.joints.len());
+        self.kinematics.jacobian_into(self.tcp, at, &self.leases.joints, &mut jacobian);
+        (six(&twist), jacobian.column_iter().map(|column| column.into_owned()).collect())
+    }
+
+    /// The joint positions along a way of the TCP, one every `dt` s, from those of a sample. The null space pulls towards these.
+    pub(crate) fn joints_along(
+        &mut self,
+        sample: &Sensed,
+        dt: f64,
+        way: impl Iterator<Item = LinePoint>,
+    ) -> Result<Vec<Vec<f64>>, Failure> {
+        let mut q = sample.position.clone();
+        let begin = self.positions(sample);
+        let mut all = Vec::new();
+        for point in way {
+            let mut off = f64::INFINITY;
+            for _ in 0..SETTLES {
+                let tcp = self.model.link_pose(&q, self.tcp);
+                let position = point.pose.translation.vector - tcp.translation.vector;
+                let rotation = (point.pose.rotation * tcp.rotation.inverse()).scaled_axis();
+                off = position.norm();
+                let twist = Twist { linear: position / dt, angular: rotation / dt };
+                let step = self.ik.step(&q, &twist, Some(&begin));
+                for (&joint, speed) in self.leases.joints.iter().zip(step.velocities) {
+                    q[joint] += speed * dt;
+                }
+            }
+            if off > OFF_THE_WAY {
+                let to = point.pose.translation.vector;
+                return Err(Failure::new(format!(
+                    "the arm `{}` does not reach ({:.3}, {:.3}, {:.3}) m: {:.0} mm are missing",
+                    self.limb.name,
+                    to.x,
+                    to.y,
+                    to.z,
+                    off * 1e3
+                )));
+            }
+            all.push(self.leases.joints.iter().map(|&joint| q[joint]).collect());
+        }
+        Ok(all)
+    }
+
     /// Velocity of the TCP at a sample, root frame, m/s.
     pub(crate) fn tcp_velocity(&mut self, sample: &Sensed) -> Vector3<f64> {
         self.kinematics.update(&sample.position);
@@ -287,6 +342,24 @@ impl LeasedArm {
         let rotation = (target.rotation * tcp.rotation.inverse()).scaled_axis();
         self.twist(sample, linear + TRACKING_GAIN * position, angular + TRACKING_GAIN * rotation)?;
         Ok(position.norm())
+    }
+
+    /// Moves the TCP on a straight line to a pose (root frame) at `speed` m/s, until it has rested there; `check` takes the distance from the
+    /// line after each step, m.
+    pub(crate) async fn go(
+        &mut self,
+        senses: &mut Senses,
+        goal: Isometry3<f64>,
+        speed: f64,
+        check: impl Fn(f64) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let mut line = StraightLine::new(self.tcp(&senses.newest()), goal, speed).map_err(failed)?;
+        while !line.rested(0.3) {
+            let (sample, dt) = senses.next().await?;
+            let point = line.step(dt).map_err(failed)?;
+            check(self.track(&sample, &point.pose, point.linear, point.angular)?)?;
+        }
+        Ok(())
     }
 
     /// Moves the TCP with a twist in the root frame: m/s, rad/s. Returns the twist that its joints can follow.
@@ -315,6 +388,11 @@ impl LeasedArm {
     pub(crate) fn stand(&self) -> Result<(), Failure> {
         self.command(&vec![0.0; self.joints().len()])
     }
+}
+
+fn six(twist: &Twist) -> Vector6<f64> {
+    let (l, a) = (twist.linear, twist.angular);
+    Vector6::new(l.x, l.y, l.z, a.x, a.y, a.z)
 }
 
 /// Leases a limb, with the chart's limits. Its hand may come near to what `touches` names.

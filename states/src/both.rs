@@ -6,7 +6,7 @@ use armarium_motion::{HandOnLoad, LinePoint, SharedLoadConfig};
 use armarium_robot::{Limb, Model, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
 use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Vector3, Vector6};
 
 use crate::arm::{LeasedArm, tcp_of};
 use crate::equipment::Equipment;
@@ -142,6 +142,22 @@ impl BothArms {
             farthest = farthest.max(arm.track(sample, &target.pose, target.linear, target.angular)?);
         }
         Ok(farthest)
+    }
+
+    /// Velocity of the middle of a hand's face at a sample, root frame, m/s and rad/s, and the columns of its Jacobian, one per
+    /// joint.
+    pub(crate) fn twist_and_columns(
+        &mut self,
+        hand: usize,
+        sample: &Sensed,
+    ) -> (Vector6<f64>, Vec<Vector6<f64>>) {
+        let face = self.faces[hand].translation.vector.into();
+        self.arms[hand].twist_and_columns(sample, &face)
+    }
+
+    /// One of the arms.
+    pub(crate) fn arm(&mut self, hand: usize) -> &mut LeasedArm {
+        &mut self.arms[hand]
     }
 
     /// The poses of both TCPs, at rest.

@@ -4,7 +4,7 @@
 //! It does not own the motion: each change is sent to the skill that executes it (see `running_motion/`).
 
 use armarium_motion::{CoachConfig, CoachInput, CoachReport, CoachedMotion};
-use armarium_runtime::skill::{Failure, SkillContext};
+use armarium_runtime::skill::{Failure, Outcome, SkillContext};
 use nalgebra::{Point3, Vector3};
 
 use crate::arm::Senses;
@@ -20,6 +20,8 @@ pub(crate) struct Coaching {
     coach: CoachedMotion,
     /// Time since the coach's last action, s.
     idle: f64,
+    /// How far the path has moved where it moved most, m.
+    displacement: f64,
 }
 
 impl Coaching {
@@ -27,7 +29,13 @@ impl Coaching {
     pub(crate) fn begin(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let motion = equipment.motions.edit(&context.entity("motion")?)?;
         let coach = CoachedMotion::new(CoachConfig::default(), &motion.view()?).map_err(failed)?;
-        Ok(Self { senses: Senses::new(&*equipment.robot, context), motion, coach, idle: 0.0 })
+        Ok(Self {
+            senses: Senses::new(&*equipment.robot, context),
+            motion,
+            coach,
+            idle: 0.0,
+            displacement: 0.0,
+        })
     }
 
     /// Waits for the robot's next sample; returns the time since the previous one, s.
@@ -53,11 +61,20 @@ impl Coaching {
             other => other,
         };
         let coach = &mut self.coach;
-        self.motion.edit(|motion, omega| coach.step(motion, dt, omega, input))
+        let report = self.motion.edit(|motion, omega| coach.step(motion, dt, omega, input))?;
+        if report.active {
+            self.displacement = self.displacement.max(report.displacement);
+        }
+        Ok(report)
     }
 
-    /// Time since the coach's last action, s.
-    pub(crate) fn idle(&self) -> f64 {
-        self.idle
+    /// How far the path has moved where it moved most, m.
+    pub(crate) fn displacement(&self) -> f64 {
+        self.displacement
+    }
+
+    /// The outcome, once the coach has not acted for longer than `patience` s.
+    pub(crate) fn ended(&self, patience: f64) -> Option<Outcome> {
+        (self.idle > patience).then(|| Outcome::success().with("displacement", self.displacement))
     }
 }

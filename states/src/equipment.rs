@@ -9,7 +9,7 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};
-use armarium_visionx::{ImageSource, Sight, StereoStep, Workers};
+use armarium_visionx::{ColorMarkerObjectTracking, ImageSource, MarkerStep, Sight, StereoStep, Workers};
 use futures::future::BoxFuture;
 use nalgebra::Isometry3;
 use parking_lot::RwLock;
@@ -56,8 +56,8 @@ impl Equipment {
 
     /// The arm that executes the motion on the channel `motion`; if none does now, the arm that works.
     pub(crate) fn executing_arm(&self, channels: &Channels) -> Result<&Limb, Failure> {
-        let motion = channels.newest("motion").filter(|s| s.at.elapsed().as_secs_f64() < RUNS_S);
-        let name = motion.as_ref().and_then(|s| s.value.get("arm").and_then(Value::as_str));
+        let motion = running_motion(channels);
+        let name = motion.as_ref().and_then(|motion| motion.get("arm").and_then(Value::as_str));
         let named = name.and_then(|name| self.robot.model().arms().find(|arm| arm.name == name));
         named.map_or_else(|| self.arm(), Ok)
     }
@@ -72,6 +72,12 @@ impl Equipment {
         Sight::start(&self.images, step, self.workers)
     }
 
+    /// A processor that tracks a thing of this colour, seen as of this class; without a diameter, m, it learns that.
+    pub(crate) fn track(&self, color: [u8; 3], diameter: Option<f64>, class: &str) -> MarkerStep {
+        let calibration = self.images.calibration();
+        MarkerStep::new(ColorMarkerObjectTracking::new(calibration, color, diameter, self.seed), class)
+    }
+
     /// A random generator that gives the same numbers in every run with the same seed.
     pub(crate) fn random(&self) -> ChaCha8Rng {
         ChaCha8Rng::seed_from_u64(self.seed)
@@ -83,6 +89,12 @@ impl Equipment {
         let known = self.transforms.read().transform(&Frame::root(), &frame, stamp_ns);
         known.map_err(|error| Failure::new(error.to_string()))
     }
+}
+
+/// What is published of the motion that runs now.
+pub(crate) fn running_motion(channels: &Channels) -> Option<Value> {
+    let motion = channels.newest("motion").filter(|s| s.at.elapsed().as_secs_f64() < RUNS_S)?;
+    Some(motion.value)
 }
 
 /// A skill made of a manifest and a function.
@@ -107,10 +119,10 @@ where
 }
 
 /// A skill that declares `manifest` and runs `act`.
-pub(crate) fn skill<F, A>(equipment: &Equipment, manifest: SkillManifest, act: F) -> Arc<dyn Skill>
+pub(crate) fn skill<F, A>(equipment: &Equipment, manifest: SkillManifest, act: F) -> impl Skill + use<F, A>
 where
     F: Fn(Equipment, SkillContext) -> A + Send + Sync + 'static,
     A: Future<Output = SkillResult> + Send + 'static,
 {
-    Arc::new(FunctionSkill { manifest, equipment: equipment.clone(), act })
+    FunctionSkill { manifest, equipment: equipment.clone(), act }
 }

@@ -5,7 +5,6 @@
 //! hand, and stores it in memory. [`CorrectedImages`] is the one place where it is applied: all that see through the robot's
 //! own eyes get frames with the true pose. The correction is a pose in the camera's own frame, because it turns with the head.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, MemoryError};
@@ -23,57 +22,32 @@ const ENTITY: &str = "hand_eye";
 /// The frame in which the mounting is given.
 const CAMERA: &str = "camera_left_believed";
 
-/// `believed_from_left`: the left camera's true pose in the frame of its assumed pose.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct HandEye {
-    believed_from_left: Isometry3<f64>,
+/// The newest mounting in memory, `believed_from_left`: the left camera's true pose in the frame of its assumed pose; the identity if there
+/// is none, or none that can be read.
+pub(crate) async fn load_mounting(memory: &dyn Memory, agent: &str) -> Result<Isometry3<f64>, Failure> {
+    match memory.latest(&address(agent)?).await {
+        Ok(snapshot) => Ok(match snapshot.attribute("believed_from_left") {
+            Some(Value::Pose(pose)) if pose.frame.0 == CAMERA => pose.isometry(),
+            _ => Isometry3::identity(),
+        }),
+        Err(MemoryError::NotFound { .. }) => Ok(Isometry3::identity()),
+        Err(error) => Err(failed(error)),
+    }
 }
 
-impl HandEye {
-    /// The correction for this mounting.
-    pub(crate) fn new(believed_from_left: Isometry3<f64>) -> Self {
-        Self { believed_from_left }
-    }
-
-    /// The newest correction in memory; the identity if there is none, or none that can be read.
-    pub(crate) async fn load(memory: &dyn Memory, agent: &str) -> Result<Self, Failure> {
-        match memory.latest(&address(agent)?).await {
-            Ok(snapshot) => {
-                let mounting = match snapshot.attribute("believed_from_left") {
-                    Some(Value::Pose(pose)) if pose.frame.0 == CAMERA => Some(pose.isometry()),
-                    _ => None,
-                };
-                Ok(Self::new(mounting.unwrap_or_else(Isometry3::identity)))
-            }
-            Err(MemoryError::NotFound { .. }) => Ok(Self::new(Isometry3::identity())),
-            Err(error) => Err(failed(error)),
-        }
-    }
-
-    /// Writes the correction to memory.
-    pub(crate) async fn store(
-        &self,
-        memory: &dyn Memory,
-        agent: &str,
-        residual_m: f64,
-        stamp_ns: u64,
-    ) -> Result<(), Failure> {
-        let attributes = BTreeMap::from([
-            (
-                "believed_from_left".to_owned(),
-                Value::Pose(Pose::new(CAMERA.into(), &self.believed_from_left)),
-            ),
-            ("residual".to_owned(), residual_m.into()),
-        ]);
-        let commit = Commit::new(address(agent)?, stamp_ns, attributes);
-        memory.commit(vec![commit]).await.map_err(failed)?;
-        Ok(())
-    }
-
-    /// The mounting that follows from one that is seen through this one.
-    pub(crate) fn refined(&self, corrected_from_left: &Isometry3<f64>) -> Self {
-        Self { believed_from_left: self.believed_from_left * corrected_from_left }
-    }
+/// Writes the mounting to memory.
+pub(crate) async fn store_mounting(
+    memory: &dyn Memory,
+    agent: &str,
+    believed_from_left: &Isometry3<f64>,
+    residual_m: f64,
+    stamp_ns: u64,
+) -> Result<(), Failure> {
+    let mounting = Value::Pose(Pose::new(CAMERA.into(), believed_from_left));
+    let attributes = [("believed_from_left", mounting), ("residual", residual_m.into())];
+    let commit = Commit::new(address(agent)?, stamp_ns, attributes);
+    memory.commit(vec![commit]).await.map_err(failed)?;
+    Ok(())
 }
 
 /// A robot's images with the true pose of its cameras, as far as its memory knows it.
@@ -102,15 +76,15 @@ impl ImageSource for CorrectedImages {
 
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         let frame = self.source.next().await?;
-        let mounting = HandEye::load(&*self.memory, &self.agent).await;
+        let mounting = load_mounting(&*self.memory, &self.agent).await;
         let mounting = mounting.map_err(|failure| ImageError::Spoilt {
             provider: self.name().into(),
             what: format!("no pose of its cameras: {failure}"),
         })?;
-        if mounting.believed_from_left == Isometry3::identity() {
+        if mounting == Isometry3::identity() {
             return Ok(frame);
         }
-        let root_from_left = frame.root_from_left * mounting.believed_from_left;
+        let root_from_left = frame.root_from_left * mounting;
         Ok(Arc::new(StereoFrame { root_from_left, ..Arc::unwrap_or_clone(frame) }))
     }
 }
@@ -142,8 +116,7 @@ mod tests {
         }
 
         async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-            let image = || RgbImage::from_rgb(1, 1, vec![0; 3]);
-            let (left, right) = (image()?, image()?);
+            let [left, right] = [0, 1].map(|_| RgbImage::painted(1, 1, |_, _| [0; 3]));
             Ok(Arc::new(StereoFrame { stamp_ns: 1, left, right, depth: None, root_from_left: self.0 }))
         }
     }
@@ -162,8 +135,8 @@ mod tests {
         let mut expected = believed;
         for found in [first, second] {
             // What is left of the error is seen in the frame of the camera as it is corrected so far.
-            let known = HandEye::load(&*memory, "local").await.unwrap();
-            known.refined(&found).store(&*memory, "local", 0.001, 1).await.unwrap();
+            let known = load_mounting(&*memory, "local").await.unwrap();
+            store_mounting(&*memory, "local", &(known * found), 0.001, 1).await.unwrap();
             expected *= found;
             let seen = images.next().await.unwrap().root_from_left;
             assert!((seen.to_homogeneous() - expected.to_homogeneous()).norm() < 1e-12);

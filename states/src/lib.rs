@@ -17,6 +17,7 @@ mod follow;
 mod grasp;
 mod hand;
 mod hand_eye;
+mod hand_motion;
 mod head;
 mod held;
 mod inputs;

@@ -74,20 +74,74 @@ pub(crate) async fn keep(
         Kept::Motion(motion) => return store(memory, id, motion, stamp_ns).await,
         Kept::Movement(movement) => movement,
     };
-    let json = serde_json::to_value(movement).map_err(|e| unwritable(id, &e))?;
-    let attributes = BTreeMap::from([
-        ("name".to_owned(), Value::from(movement.name())),
-        ("kind".to_owned(), Value::from("discrete DMP")),
-        ("duration".to_owned(), Value::Float(movement.duration_s())),
-        ("learned_from".to_owned(), Value::from(movement.learned_from())),
-        ("movement".to_owned(), Value::from_json(&json)),
-    ]);
+    let attributes = [
+        ("name", Value::from(movement.name())),
+        ("kind", Value::from("discrete DMP")),
+        ("duration", Value::Float(movement.duration_s())),
+        ("learned_from", Value::from(movement.learned_from())),
+        ("movement", written(id, serde_json::to_value(movement))?),
+    ];
     memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
     Ok(())
 }
 
-fn unwritable(id: &EntityId, error: &serde_json::Error) -> Failure {
-    Failure::new(format!("the motion `{id}` cannot be written to memory: {error}"))
+/// What one hand learned to move with the other, for a task that is told in one line.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LearnedTogether {
+    /// What the hands do, and in which space it was learned.
+    pub(crate) task: String,
+    /// From how many epochs it was learned.
+    pub(crate) epochs: u32,
+    /// The weights of the control signal (13) of the hand's motion.
+    pub(crate) control_weights: Vec<f64>,
+}
+
+impl LearnedTogether {
+    const KIND: &'static str = "control signal of a discrete-periodic DMP";
+
+    /// What was kept under a name, by any agent; `None` if nothing was.
+    pub(crate) async fn recall(memory: &dyn Memory, name: &str) -> Result<Option<Self>, Failure> {
+        let known = memory.segment(SEGMENT).await.map_err(failed)?;
+        let newest = known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns);
+        newest.map(|snapshot| Self::of(snapshot)).transpose()
+    }
+
+    fn of(snapshot: &Snapshot) -> Result<Self, Failure> {
+        let read = || {
+            let weights = snapshot.attribute("control_weights")?.as_list()?;
+            Some(Self {
+                task: snapshot.attribute("task")?.as_str()?.to_owned(),
+                epochs: u32::try_from(snapshot.attribute("epochs")?.as_int()?).ok()?,
+                control_weights: weights.iter().map(Value::as_f64).collect::<Option<_>>()?,
+            })
+        };
+        let other = || {
+            Failure::new(format!(
+                "`{}` in memory is not what a hand learned to move with another; keep this under another name",
+                snapshot.id
+            ))
+        };
+        read().ok_or_else(other)
+    }
+
+    /// Writes it as the newest version of its entity.
+    pub(crate) async fn keep(self, memory: &dyn Memory, id: &EntityId, stamp_ns: u64) -> Result<(), Failure> {
+        let weights = self.control_weights.into_iter().map(Value::Float).collect();
+        let attributes = BTreeMap::from([
+            ("name".to_owned(), Value::from(id.entity())),
+            ("kind".to_owned(), Value::from(Self::KIND)),
+            ("task".to_owned(), Value::from(self.task)),
+            ("epochs".to_owned(), Value::Int(i64::from(self.epochs))),
+            ("control_weights".to_owned(), Value::List(weights)),
+        ]);
+        memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
+        Ok(())
+    }
+}
+
+fn written(id: &EntityId, json: serde_json::Result<serde_json::Value>) -> Result<Value, Failure> {
+    let unwritable = |error| Failure::new(format!("the motion `{id}` cannot be written to memory: {error}"));
+    json.map(|json| Value::from_json(&json)).map_err(unwritable)
 }
 
 /// Writes a motion as the newest version of its entity.
@@ -108,14 +162,13 @@ pub(crate) fn commit(
     stamp_ns: u64,
     expected_version: Option<u64>,
 ) -> Result<Commit, Failure> {
-    let json = serde_json::to_value(motion).map_err(|e| unwritable(id, &e))?;
-    let attributes = BTreeMap::from([
-        ("name".to_owned(), Value::from(motion.name())),
-        ("kind".to_owned(), Value::from("periodic DMP")),
-        ("frequency".to_owned(), Value::Float(motion.frequency_hz())),
-        ("learned_from".to_owned(), Value::from(motion.learned_from())),
-        ("motion".to_owned(), Value::from_json(&json)),
-    ]);
+    let attributes = [
+        ("name", Value::from(motion.name())),
+        ("kind", Value::from("periodic DMP")),
+        ("frequency", Value::Float(motion.frequency_hz())),
+        ("learned_from", Value::from(motion.learned_from())),
+        ("motion", written(id, serde_json::to_value(motion))?),
+    ];
     let commit = Commit::new(id.clone(), stamp_ns, attributes);
     Ok(Commit { expected_version, ..commit })
 }

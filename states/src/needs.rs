@@ -31,9 +31,10 @@ const WRENCH: &[&str] = &[
     "ForceGuiding",
     "SqueezeTogether",
     "CarryTogether",
+    "LearnTogether",
     "PutDownTogether",
 ];
-const TWO_ARMS: &[&str] = &["SqueezeTogether", "CarryTogether", "PutDownTogether"];
+const TWO_ARMS: &[&str] = &["SqueezeTogether", "CarryTogether", "LearnTogether", "PutDownTogether"];
 const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose"];
 const CAMERAS: &[&str] = &[
     "LocateObject",

@@ -30,8 +30,6 @@ pub(crate) async fn class_of(memory: &dyn Memory, object: &EntityId) -> Result<O
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use armarium_memoryx::{Commit, PriorKnowledge, WorkingMemory, tokio_clock};
 
     use super::*;
@@ -43,9 +41,7 @@ mod tests {
         prior.add(ObjectClass::new("sponge", [250, 200, 20], [0.1, 0.06, 0.03])).unwrap();
         prior.put_into(&memory).unwrap();
         let id = |name: &str| EntityId::new("ObjectInstances", "bob", name).unwrap();
-        let object = |name: &str, class: &str| {
-            Commit::new(id(name), 0, BTreeMap::from([("class".to_owned(), Value::from(class))]))
-        };
+        let object = |name: &str, class: &str| Commit::new(id(name), 0, [("class", Value::from(class))]);
         let objects = [("the yellow one", "sponge"), ("sponge", "brick")];
         memory.commit(objects.map(|(name, class)| object(name, class)).to_vec()).await.unwrap();
         let class = class_of(&memory, &id("the yellow one")).await.unwrap();

@@ -18,14 +18,14 @@ const POINTS: usize = 48;
 pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) -> Result<f64, Failure> {
     let model = equipment.robot.model();
     let (arm, motion) = (&wiper.arm, wiper.motion());
-    let (joints, link) = (arm.joints(), tcp_of(arm.limb())?);
+    let (joints, link) = (arm.joints(), tcp_of(&arm.limb)?);
     let path = motion.primitive().steady_path(POINTS).map_err(|e| Failure::new(e.to_string()))?;
     let pose = |s: usize| {
         let point = &path.y[s % path.len()];
         wiper.pose_at([point[0], point[1]], over)
     };
     let now = &equipment.robot.sensed().borrow().position.clone();
-    let mut q = model.taken_at(model.ready(&arm.limb().name), now);
+    let mut q = model.taken_at(model.ready(&arm.limb.name), now);
     let mut random = equipment.random();
     let mut solve = |s: usize, seed: &[f64]| {
         solve_pose(model, link, joints, &pose(s), seed, &PoseOptions::default(), &mut random).map_err(|e| {

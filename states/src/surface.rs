@@ -123,8 +123,6 @@ fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use armarium_memoryx::{Commit, EntityId, Instance, Memory as _, Snapshot, WorkingMemory, tokio_clock};
     use armarium_values::transforms::Transforms;
     use armarium_values::{Frame, Observation, Pose, Value};
@@ -134,20 +132,15 @@ mod tests {
     use crate::inputs::pose_value;
 
     fn top_in(remembered: &Remembered<'_>, pose: &Pose) -> Option<Vector3<f64>> {
-        let attributes = BTreeMap::from([("pose".to_owned(), Value::Pose(pose.clone()))]);
         let snapshot = Snapshot {
             id: EntityId::new("EnvironmentModels", "test", "there").unwrap(),
             version: 1,
             referenced_ns: 0,
             sent_ns: 0,
             arrived_ns: 0,
-            instances: vec![Instance::new(attributes)],
+            instances: vec![Instance::new([("pose", Value::Pose(pose.clone()))])],
         };
         Some(remembered.root_pose(&snapshot)?.translation.vector)
-    }
-
-    fn table(tilt: f64) -> Isometry3<f64> {
-        Isometry3::new(Vector3::new(0.2, 0.6, 0.9), Vector3::x() * tilt)
     }
 
     #[tokio::test(start_paused = true)]
@@ -158,7 +151,7 @@ mod tests {
         let known = Surface::under(remembered, &point).await.unwrap();
         assert_eq!(known, Surface::level(point), "nothing is known");
         let id = EntityId::new("EnvironmentModels", "test", "table").unwrap();
-        let pose = table(0.2);
+        let pose = Isometry3::new(Vector3::new(0.2, 0.6, 0.9), Vector3::x() * 0.2);
         let size = Value::from([1.0, 0.7, 0.0]);
         memory.commit(vec![Commit::new(id, 0, [("pose", pose_value(&pose)), ("size", size)])]).await.unwrap();
         let known = Surface::under(remembered, &point).await.unwrap();

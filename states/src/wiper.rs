@@ -9,8 +9,7 @@
 
 use std::f64::consts::TAU;
 
-use armarium_memoryx::EntityId;
-use armarium_motion::{ContactFrame, Motion, PeriodicOrientationDmp, StraightLine, SurfaceCorrection};
+use armarium_motion::{ContactFrame, Motion, PeriodicOrientationDmp, SurfaceCorrection};
 use armarium_robot::{Limb, Sensed};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, SkillContext};
@@ -107,17 +106,9 @@ impl Stage {
     }
 }
 
-/// The state of the motion after a step.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Progress {
-    /// Present frequency, rad/s.
-    pub(crate) omega: f64,
-}
-
 /// A motion and the arm that performs it.
 pub(crate) struct Wiper {
     pub(crate) arm: LeasedArm,
-    id: EntityId,
     motion: MotionOwner,
     stage: Stage,
     /// The hand's rotation, if the motion has one.
@@ -136,14 +127,13 @@ impl Wiper {
         context: &SkillContext,
         tool: &GraspedTool,
     ) -> Result<Self, Failure> {
-        let (arm, id, motion) = Self::own(equipment, context, tool).await?;
-        let stood_on = tool.stood_on(equipment, arm.limb())?;
+        let (arm, motion, stood_on) = Self::own(equipment, context, tool).await?;
         let [x, y] = middle_of(motion.motion());
         let here =
             Surface::known_under(equipment.remembered(), &stood_on.at(x, y)).await?.unwrap_or(stood_on);
         let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
         let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
-        Self::new(arm, (id, motion), stage, context)
+        Self::new(arm, motion, stage, context)
     }
 
     /// The same in free space: level, as it was shown, and high enough to be nowhere lower over the surface than in the middle.
@@ -166,8 +156,7 @@ impl Wiper {
         context: &SkillContext,
         tool: &GraspedTool,
     ) -> Result<(Self, SurfaceCorrection), Failure> {
-        let (arm, id, motion) = Self::own(equipment, context, tool).await?;
-        let stood_on = tool.stood_on(equipment, arm.limb())?;
+        let (arm, motion, stood_on) = Self::own(equipment, context, tool).await?;
         let [x, y] = middle_of(motion.motion());
         let fitted = motion.motion().surface().cloned().ok_or_else(|| {
             Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
@@ -175,16 +164,16 @@ impl Wiper {
         let middle = Point3::new(x, y, motion.motion().primitive().centre()[2]);
         let here = Surface::new(middle, Unit::new_normalize(fitted.normal()));
         let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
-        Ok((Self::new(arm, (id, motion), stage, context)?, fitted))
+        Ok((Self::new(arm, motion, stage, context)?, fitted))
     }
 
+    /// The arm, the motion, and what the tool stood on.
     async fn own(
         equipment: &Equipment,
         context: &SkillContext,
         tool: &GraspedTool,
-    ) -> Result<(LeasedArm, EntityId, MotionOwner), Failure> {
-        let id = context.entity("motion")?;
-        let motion = equipment.motions.own(&equipment.memory, &id).await?;
+    ) -> Result<(LeasedArm, MotionOwner, Surface), Failure> {
+        let motion = equipment.motions.own(&equipment.memory, &context.entity("motion")?).await?;
         // It works on what the tool stood on, with the tool over the motion's middle.
         let [x, y] = middle_of(motion.motion());
         let mut over_middle = tool.tcp;
@@ -192,12 +181,12 @@ impl Wiper {
         over_middle.translation =
             (surface.at(x, y) + surface.normal().scale(tool.standing(&surface))).coords.into();
         let arm = LeasedArm::take(equipment, context, &[tool.tcp, over_middle]).await?;
-        Ok((arm, id, motion))
+        Ok((arm, motion, surface))
     }
 
     fn new(
         arm: LeasedArm,
-        (id, motion): (EntityId, MotionOwner),
+        motion: MotionOwner,
         stage: Stage,
         context: &SkillContext,
     ) -> Result<Self, Failure> {
@@ -208,17 +197,12 @@ impl Wiper {
         let height = motion.motion().primitive().centre()[2];
         // Coaches see the motion in its own plane.
         motion.set_frame(stage.root_from_motion * Translation3::new(0.0, 0.0, -height));
-        Ok(Self { arm, id, motion, stage, turning, pace: 0.0, contact, channels })
+        Ok(Self { arm, motion, stage, turning, pace: 0.0, contact, channels })
     }
 
     /// The motion as it was when it began to run.
     pub(crate) fn motion(&self) -> &Motion {
         self.motion.motion()
-    }
-
-    /// The address of the motion in memory.
-    pub(crate) fn id(&self) -> &EntityId {
-        &self.id
     }
 
     /// Releases the arm, which brakes, and writes the changes of the motion to memory, with the learned surface.
@@ -310,25 +294,18 @@ impl Wiper {
         speed: f64,
     ) -> Result<(), Failure> {
         let goal = self.pose(over);
-        let mut line = StraightLine::new(self.arm.tcp(&senses.newest()), goal, speed).map_err(failed)?;
-        while !line.rested(0.3) {
-            let (sample, dt) = senses.next().await?;
-            let point = line.step(dt).map_err(failed)?;
-            let error = self.arm.track(&sample, &point.pose, point.linear, point.angular)?;
-            check_track(error)?;
-        }
-        Ok(())
+        self.arm.go(senses, goal, speed, check_track).await
     }
 
     /// One control step of `dt` s: the phase advances at `pace` times the learned frequency (approached smoothly),
-    /// and the TCP follows the path at `height`.
+    /// and the TCP follows the path at `height`. Returns the present frequency, rad/s.
     pub(crate) fn step(
         &mut self,
         sample: &Sensed,
         dt: f64,
         pace: f64,
         height: Height,
-    ) -> Result<Progress, Failure> {
+    ) -> Result<f64, Failure> {
         let change = (pace - self.pace).clamp(-PACE_RATE * dt, PACE_RATE * dt);
         self.pace = (self.pace + change).clamp(0.0, 1.0);
         let omega = self.motion().omega() * self.pace;
@@ -344,7 +321,7 @@ impl Wiper {
         let error = self.arm.track(sample, &goal, linear, angular)?;
         check_track(error)?;
         self.publish(sample, phase, omega);
-        Ok(Progress { omega })
+        Ok(omega)
     }
 
     fn pose(&self, over: f64) -> Isometry3<f64> {
@@ -361,7 +338,7 @@ impl Wiper {
         self.channels.publish(
             "motion",
             Value::record([
-                ("arm", Value::from(self.arm.limb().name.as_str())),
+                ("arm", Value::from(self.arm.limb.name.as_str())),
                 ("phase", Value::Float(phase)),
                 ("frequency", Value::Float(omega / TAU)),
                 ("position", Value::from([tcp.x, tcp.y, tcp.z])),

@@ -5,10 +5,40 @@
 mod ended;
 
 use std::path::Path;
+use std::sync::Arc;
 
-use armarium_host::{RunConfig, RunEnded};
+use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
 
 use ended::ended;
+
+/// Two runs of the learning chart with the same memory: so many epochs each.
+fn days(epochs: [&str; 2]) -> [RunEnded; 2] {
+    let folder = tempfile::tempdir().unwrap();
+    let chart = armarium_tests::repository::root().join("statecharts/learn_together.yaml");
+    [("first", epochs[0]), ("second", epochs[1])].map(|(day, epochs)| {
+        let config = RunConfig {
+            report: folder.path().join(day),
+            store: folder.path().join("memory.redb"),
+            inputs: vec![("epochs".into(), epochs.into())],
+            ..RunConfig::new(&chart)
+        };
+        let console: Arc<dyn Console> = Arc::new(Silent);
+        run(&config, &console).expect("the run begins")
+    })
+}
+
+#[test]
+fn two_hands_learn_to_lift_and_shake_a_box_and_go_on_from_there_the_next_day() {
+    let [first, second] = days(["6", "1"]);
+    for day in [&first, &second] {
+        assert_eq!(day.result.outcome, "success", "{:?} {:?}", day.result.reason, day.result.chain);
+        assert!(day.report["learning_together"]["held"] == 1.0, "{}", day.report["learning_together"]);
+    }
+    let figure = |day: &RunEnded, key: &str| day.report["learning_together"][key].as_f64().unwrap();
+    assert!(figure(&first, "distance_fell") > 10.0, "{}", first.report["learning_together"]);
+    assert_eq!(figure(&second, "epochs_before"), 6.0);
+    assert!(figure(&second, "first_rms_m") < 0.2 * figure(&first, "first_rms_m"));
+}
 
 /// A run of a shipped chart in the world beside it, changed by `edit`.
 fn carried(chart: &str, seed: u64, edit: impl Fn(String) -> String) -> RunEnded {

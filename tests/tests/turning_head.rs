@@ -10,7 +10,7 @@ use armarium_robot::LeaseLimits;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_simulator::World;
 use armarium_states::Equipment;
-use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer};
+use armarium_visionx::ObjectLocalizer;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use nalgebra::{Isometry3, Vector3};
@@ -35,8 +35,7 @@ impl Watch {
     async fn watch(self) -> SkillResult {
         let equipment = &self.equipment;
         let object = &self.world.objects[0];
-        let class = BoxModel { size: Vector3::from(object.size), color: ColorModel::from_rgb(object.color) };
-        let localizer = ObjectLocalizer::new(equipment.images.calibration(), class);
+        let localizer = ObjectLocalizer::new(equipment.images.calibration(), object.size, object.color);
         let model = Arc::clone(equipment.robot.model());
         let camera = model.camera().unwrap().left;
         let head = model.camera().unwrap().on.clone().unwrap();

@@ -16,9 +16,8 @@ use armarium_visionx::tracking::{
     FingerTipSettings, FingerTipTracking, HandDetector, LearnedHandDetector, SkinHandDetector,
 };
 use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, ImageError,
-    MarkerSettings, MarkerStep, ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
-    StereoStep, TabletopSegmentation, TabletopStep,
+    ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, MarkerStep, ObjectLocalizer,
+    PinholeCamera, RgbImage, StereoCalibration, StereoFrame, StereoStep, TabletopSegmentation, TabletopStep,
 };
 use nalgebra::{Isometry3, Point2, Vector2, Vector3};
 
@@ -52,23 +51,19 @@ fn paint(at: Vector2<f64>) -> [f64; 3] {
     }
 }
 
-fn eye(shift: f64, seed: u64) -> Result<RgbImage, ImageError> {
+fn eye(shift: f64, seed: u64) -> RgbImage {
     let camera = CALIBRATION.camera;
     let mut state = seed;
     let mut noise = || {
-        // // Linear congruential noise is good enough here.
+        // Linear congruential noise is good enough here.
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         (state >> 33) as f64 / f64::from(1u32 << 31) * 7.0 - 3.5
     };
-    let mut data = Vec::new();
-    for y in 0..camera.height {
-        for x in 0..camera.width {
-            let ray = camera.ray(&Point2::new(f64::from(x), f64::from(y)));
-            let color = paint(ray.xy() * DEPTH + Vector2::new(shift, 0.0));
-            data.extend(color.map(|c| (c + noise()).round() as u8));
-        }
-    }
-    RgbImage::from_rgb(camera.width, camera.height, data)
+    RgbImage::painted(camera.width, camera.height, |x, y| {
+        let ray = camera.ray(&Point2::new(f64::from(x), f64::from(y)));
+        let color = paint(ray.xy() * DEPTH + Vector2::new(shift, 0.0));
+        color.map(|c| (c + noise()).round() as u8)
+    })
 }
 
 fn measure(name: &str, of: &str, mut step: impl FnMut(u32) -> bool) {
@@ -85,14 +80,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     let root_from_left = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
     let mut frame = StereoFrame {
         stamp_ns: 0,
-        left: eye(0.0, 1)?,
-        right: eye(CALIBRATION.baseline, 2)?,
+        left: eye(0.0, 1),
+        right: eye(CALIBRATION.baseline, 2),
         depth: None,
         root_from_left,
     };
     let color = ColorModel::from_rgb([40, 170, 60]);
-    measure("colour segmentation", STEREO, |_| color.counts(&frame)[0] > 0);
-    let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new([40, 170, 60]), 1);
+    measure("colour segmentation", STEREO, |_| {
+        [&frame.left, &frame.right].iter().all(|eye| color.segment(eye).count() > 0)
+    });
+    let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, [40, 170, 60], None, 1);
     measure("marker tracking", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
         tracking.update(&frame).is_some()
@@ -117,16 +114,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (name, mut detector) in detectors {
         measure(name, "a photograph of 480 x 640", |_| detector.find(&photograph).is_some());
     }
-    let model =
-        BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
-    let localizer = ObjectLocalizer::new(CALIBRATION, model);
+    let localizer = ObjectLocalizer::new(CALIBRATION, [0.10, 0.07, 0.04], [240, 210, 40]);
     measure("object localisation", STEREO, |_| localizer.localize(&frame).is_some());
     // The plane is a level table under cameras that look down on it.
     frame.root_from_left.translation.z = 1.0 + DEPTH;
     let (width, height) = (CALIBRATION.camera.width, CALIBRATION.camera.height);
     let data = vec![DEPTH as f32; width as usize * height as usize];
     frame.depth = Some(DepthImage { width, height, data });
-    let marker = ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new([40, 170, 60]), 1);
+    let marker = ColorMarkerObjectTracking::new(CALIBRATION, [40, 170, 60], None, 1);
     let mut together: Vec<Box<dyn StereoStep>> = vec![
         Box::new(HandStep::new(HandObserver::new(CALIBRATION))),
         Box::new(MarkerStep::new(marker, "marker")),

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 
 use armarium_bus::{Session, SessionConfig};
 use armarium_visionx::providers::{
-    Delivery, FrameSender, ImageCoding, ImageProvider, PixelFormat, ProviderDescription, RawFrame, RawImage,
-    RemoteProvider, channel, offer,
+    Delivery, FrameSender, ImageCoding, ImageProvider, Offered, PixelFormat, ProviderDescription, RawFrame,
+    RawImage, RemoteProvider, channel, offer,
 };
 use zenoh::Wait;
 use zenoh::pubsub::{Publisher, Subscriber};
@@ -46,18 +46,6 @@ impl Raw {
     }
 }
 
-struct Ours {
-    sender: FrameSender,
-    reader: RemoteProvider,
-    _offered: armarium_visionx::providers::Offered,
-}
-
-impl Ours {
-    fn send(&self, frame: &RawFrame) {
-        self.sender.send(frame.clone());
-    }
-}
-
 async fn pair() -> (Session, Session) {
     let config = SessionConfig { shared_memory: true, ..SessionConfig::default() };
     let one = Session::open(&config).await.unwrap();
@@ -76,7 +64,7 @@ async fn raw(one: &Session, two: &Session, bytes: usize) -> Raw {
     Raw { pool, publisher, subscriber }
 }
 
-async fn ours(one: &Session, two: &Session, frame: &RawFrame) -> Ours {
+async fn ours(one: &Session, two: &Session, frame: &RawFrame) -> (FrameSender, RemoteProvider, Offered) {
     let name = format!("eyes{}", frame.bytes());
     let (sender, provider) =
         channel(ProviderDescription { name: name.clone(), ..ProviderDescription::default() });
@@ -87,7 +75,7 @@ async fn ours(one: &Session, two: &Session, frame: &RawFrame) -> Ours {
     loop {
         sender.send(frame.clone());
         if tokio::time::timeout(Duration::from_millis(100), reader.next()).await.is_ok() {
-            return Ours { sender, reader, _offered: offered };
+            return (sender, reader, offered);
         }
     }
 }
@@ -101,35 +89,35 @@ async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
     let pixels: Vec<u8> = (0..width * height * 3).map(|i| i as u8).collect();
     let image = RawImage::new("left", PixelFormat::Rgb8, (width, height), pixels.clone()).unwrap();
     let frame = RawFrame { images: vec![image], ..RawFrame::default() };
-    let (raw, ours) = (raw(one, two, pixels.len()).await, ours(one, two, &frame).await);
+    let (raw, (sender, reader, _offered)) = (raw(one, two, pixels.len()).await, ours(one, two, &frame).await);
     let mut into = vec![0u8; pixels.len()];
-    let (mut copies, mut raws, mut provided) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut raw_rates, mut our_rates, mut copy_rates) = (Vec::new(), Vec::new(), Vec::new());
+    let mut copy = || {
+        into.copy_from_slice(std::hint::black_box(&pixels));
+        std::hint::black_box(&mut into);
+    };
+    // Of a copy, raw Zenoh and a provider.
+    let [mut latencies, mut rates] = [(); 2].map(|()| [const { Vec::new() }; 3]);
     let ms = |since: Instant| since.elapsed().as_secs_f64() * 1e3;
     let mut tick = tokio::time::interval(Duration::from_millis(2));
     for _ in 0..ROUNDS {
         for _ in 0..LATENCIES {
             tick.tick().await;
             let began = Instant::now();
-            into.copy_from_slice(std::hint::black_box(&pixels));
-            std::hint::black_box(&mut into);
-            copies.push(ms(began));
+            copy();
+            latencies[0].push(ms(began));
             let began = Instant::now();
             raw.send(&pixels).await;
             assert_eq!(raw.receive().await, pixels.len());
-            raws.push(ms(began));
+            latencies[1].push(ms(began));
             tick.tick().await;
             let began = Instant::now();
-            ours.send(&frame);
-            assert_eq!(ours.reader.next().await.unwrap().bytes(), pixels.len());
-            provided.push(ms(began));
+            sender.send(frame.clone());
+            assert_eq!(reader.next().await.unwrap().bytes(), pixels.len());
+            latencies[2].push(ms(began));
         }
         let began = Instant::now();
-        for _ in 0..FRAMES {
-            into.copy_from_slice(std::hint::black_box(&pixels));
-            std::hint::black_box(&mut into);
-        }
-        copy_rates.push(FRAMES as f64 / began.elapsed().as_secs_f64());
+        (0..FRAMES).for_each(|_| copy());
+        rates[0].push(FRAMES as f64 / began.elapsed().as_secs_f64());
         let began = Instant::now();
         for i in 0..FRAMES {
             raw.send(&pixels).await;
@@ -140,32 +128,27 @@ async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
         for _ in 0..WINDOW {
             raw.receive().await;
         }
-        raw_rates.push(FRAMES as f64 / began.elapsed().as_secs_f64());
+        rates[1].push(FRAMES as f64 / began.elapsed().as_secs_f64());
         // The provider keeps only the newest frame. The processor drains the queue, so the received frames
         // are counted.
-        let before = ours.reader.statistics().received.get();
+        let before = reader.statistics().received.get();
         let began = Instant::now();
         let giving = async {
             while began.elapsed() < Duration::from_millis(400) {
-                ours.send(&frame);
+                sender.send(frame.clone());
                 tokio::task::yield_now().await;
             }
         };
-        let taking = async {
-            while tokio::time::timeout(Duration::from_millis(100), ours.reader.next()).await.is_ok() {}
-        };
+        let taking =
+            async { while tokio::time::timeout(Duration::from_millis(100), reader.next()).await.is_ok() {} };
         let taking = tokio::time::timeout(Duration::from_millis(400), taking);
         let _ = tokio::join!(giving, taking).1.is_ok();
-        let received = ours.reader.statistics().received.get() - before;
-        our_rates.push(received as f64 / 0.4);
+        rates[2].push((reader.statistics().received.get() - before) as f64 / 0.4);
     }
     println!("| {width} x {height} | memcpy | raw Zenoh shared memory | provider to processor |");
-    let (copy, raw_ms, ours_ms) = (median(copies), median(raws), median(provided));
-    println!(
-        "| latency, median, ms | {copy:.3} | {raw_ms:.3} | {ours_ms:.3} ({:.2} x raw) |",
-        ours_ms / raw_ms
-    );
-    let (copy, raw, ours) = (median(copy_rates), median(raw_rates), median(our_rates));
+    let [copy, raw, ours] = latencies.map(median);
+    println!("| latency, median, ms | {copy:.3} | {raw:.3} | {ours:.3} ({:.2} x raw) |", ours / raw);
+    let [copy, raw, ours] = rates.map(median);
     println!("| frames/s | {copy:.0} | {raw:.0} | {ours:.0} |");
 }
 

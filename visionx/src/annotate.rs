@@ -12,12 +12,8 @@ use crate::tracking::{HandInPicture, HandLandmarks, HandOutline, SkinSegmentatio
 
 /// Why a picture could not be encoded.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum EncodeError {
-    /// The encoder refused.
-    #[error("the picture cannot be encoded as PNG")]
-    Png(#[source] image::ImageError),
-}
+#[error("the picture cannot be encoded as PNG")]
+pub struct EncodeError(#[source] image::ImageError);
 
 /// Sets a pixel; does nothing outside of the image.
 pub fn pixel(image: &mut RgbImage, x: i64, y: i64, color: [u8; 3]) {
@@ -126,8 +122,7 @@ fn bones(image: &mut RgbImage, hand: &HandLandmarks) {
 
 /// Darkens all pixels outside of a segmented hand.
 pub fn silhouette(image: &mut RgbImage, hand: &SkinSegmentation) {
-    let (w, h) = (image.width(), image.height());
-    for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+    for (x, y) in Region::whole(image.width(), image.height()).pixels() {
         let (u, v) = ((f64::from(x) / hand.scale) as i64, (f64::from(y) / hand.scale) as i64);
         if !hand.mask.contains(u, v) {
             let dark = image.pixel(x, y).map(|c| c / 2);
@@ -139,20 +134,13 @@ pub fn silhouette(image: &mut RgbImage, hand: &SkinSegmentation) {
 /// Encodes an image as PNG.
 ///
 /// # Errors
-/// [`EncodeError::Png`] when the encoder refuses, as for an image without pixels.
+/// When the encoder refuses, as for an image without pixels.
 pub fn png(image: &RgbImage) -> Result<Vec<u8>, EncodeError> {
     let mut bytes = std::io::Cursor::new(Vec::new());
-    let (width, height) = (image.width(), image.height());
-    image::write_buffer_with_format(
-        &mut bytes,
-        image.data(),
-        width,
-        height,
-        image::ExtendedColorType::Rgb8,
-        image::ImageFormat::Png,
-    )
-    .map_err(EncodeError::Png)?;
-    Ok(bytes.into_inner())
+    let (width, height, rgb) = (image.width(), image.height(), image::ExtendedColorType::Rgb8);
+    let png = image::ImageFormat::Png;
+    let written = image::write_buffer_with_format(&mut bytes, image.data(), width, height, rgb, png);
+    written.map(|()| bytes.into_inner()).map_err(EncodeError)
 }
 
 #[cfg(test)]
@@ -160,7 +148,7 @@ mod tests {
     use super::*;
 
     fn black(width: u32, height: u32) -> RgbImage {
-        RgbImage::from_rgb(width, height, vec![0; (width * height * 3) as usize]).unwrap()
+        RgbImage::painted(width, height, |_, _| [0; 3])
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::frame::StereoFrame;
+use crate::frame::{DepthImage, StereoFrame};
 
 /// An ideal pinhole camera without distortion. Pixel centres are at whole coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,6 +42,12 @@ impl PinholeCamera {
     /// one's x.
     pub fn project_shifted(&self, point: &Point3<f64>, shift: f64) -> Option<Point2<f64>> {
         self.project(&Point3::new(point.x - shift, point.y, point.z))
+    }
+
+    /// A depth image, if it is whole and of this camera.
+    pub(crate) fn usable<'d>(&self, depth: &'d DepthImage) -> Option<&'d DepthImage> {
+        let fits = (depth.width, depth.height) == (self.width, self.height);
+        (fits && depth.data.len() == self.width as usize * self.height as usize).then_some(depth)
     }
 
     /// The direction of a pixel's ray, scaled so that its z is 1.

@@ -72,7 +72,12 @@ impl Component {
 
     /// The component alone, as a mask of its bounds grown by `border` and clipped to `width` x `height`.
     pub fn mask(&self, border: u32, width: u32, height: u32) -> Mask {
-        let mut mask = Mask::empty(self.bounds.grown(border, width, height));
+        self.alone(self.bounds.grown(border, width, height))
+    }
+
+    /// The component alone, as a mask of this region.
+    pub(crate) fn alone(&self, region: Region) -> Mask {
+        let mut mask = Mask::empty(region);
         mask.add(&self.runs);
         mask
     }
@@ -134,16 +139,15 @@ fn join(parents: &mut [usize], i: usize, j: usize) {
     parents[high] = low;
 }
 
-/// The bounds of the largest component; empty when the mask is empty.
-pub(crate) fn largest_bounds(mask: &Mask) -> Region {
-    components(mask, 1).first().map_or_else(Region::default, |component| component.bounds)
+/// The largest component; `None` when the mask is empty.
+pub(crate) fn largest(mask: &Mask) -> Option<Component> {
+    components(mask, 1).into_iter().next()
 }
 
 /// Fills enclosed holes of fewer than `most` pixels.
 pub(crate) fn fill_holes(mask: &mut Mask, most: u32) {
     let region = mask.region();
-    let mut outside = Mask::empty(region);
-    outside.data_mut().iter_mut().zip(mask.data()).for_each(|(o, m)| *o = 1 - *m);
+    let outside = Mask::of(region, mask.data().iter().map(|bit| *bit == 0));
     for hole in components(&outside, 1) {
         let bounds = Region { x: hole.bounds.x - region.x, y: hole.bounds.y - region.y, ..hole.bounds };
         if hole.area < most && !bounds.touches_border(region.width, region.height) {
@@ -158,12 +162,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn mask_of(rows: &[&str]) -> Mask {
-        let mut mask =
-            Mask::empty(Region { x: 3, y: 5, width: rows[0].len() as u32, height: rows.len() as u32 });
-        for (o, c) in mask.data_mut().iter_mut().zip(rows.iter().flat_map(|r| r.bytes())) {
-            *o = u8::from(c == b'#');
-        }
-        mask
+        let region = Region { x: 3, y: 5, width: rows[0].len() as u32, height: rows.len() as u32 };
+        Mask::of(region, rows.concat().bytes().map(|c| c == b'#'))
     }
 
     #[test]
@@ -210,17 +210,14 @@ mod tests {
     proptest! {
         #[test]
         fn same_as_flood_fill(bits in proptest::collection::vec(0u8..2, 12 * 9)) {
-            let mut mask = Mask::empty(Region { x: 0, y: 0, width: 12, height: 9 });
-            mask.data_mut().copy_from_slice(&bits);
+            let mask = Mask::of(Region::whole(12, 9), bits.iter().map(|bit| *bit == 1));
             let found = components(&mask, 1);
             prop_assert_eq!(found.iter().map(|c| c.area).collect::<Vec<_>>(), flood(&mask));
             let mut again = Mask::empty(mask.region());
             for c in &found {
                 let own = c.mask(0, 12, 9);
                 prop_assert_eq!(own.count() as u32, c.area);
-                for (y, x) in (0..9).flat_map(|y| (0..12).map(move |x| (y, x))) {
-                    again.data_mut()[y * 12 + x] |= u8::from(own.contains(x as i64, y as i64));
-                }
+                own.pixels().for_each(|(x, y)| again.data_mut()[(y * 12 + x) as usize] = 1);
             }
             prop_assert_eq!(again, mask);
         }

@@ -4,7 +4,7 @@ use image::{GrayImage, Luma};
 use imageproc::definitions::Image;
 use imageproc::distance_transform::euclidean_squared_distance_transform;
 
-use crate::mask::Mask;
+use crate::mask::{Mask, Region};
 
 /// For each set pixel of a mask, the distance to the nearest unset pixel, px; 0 for unset pixels. Pixels outside
 /// of the mask's region count as unset.
@@ -16,8 +16,8 @@ pub(crate) fn inside(mask: &Mask) -> Vec<f32> {
         within && mask.row(y as usize - 1)[x as usize - 1] != 0
     };
     let squared = squared_to_nearest(w + 2, h + 2, |x, y| !is_set(x, y));
-    let at = |x: u32, y: u32| squared.get_pixel(x + 1, y + 1).0[0].sqrt() as f32;
-    (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect()
+    let at = |(x, y)| squared.get_pixel(x + 1, y + 1).0[0].sqrt() as f32;
+    Region::whole(w, h).pixels().map(at).collect()
 }
 
 /// The distance of every pixel to the nearest set pixel, px; infinite when none is set.
@@ -42,13 +42,11 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::mask::Region;
 
     proptest! {
         #[test]
         fn distances_agree_with_brute_force(bits in proptest::collection::vec(0u8..8, 11 * 7)) {
-            let mut mask = Mask::empty(Region::whole(11, 7));
-            mask.data_mut().iter_mut().zip(&bits).for_each(|(m, b)| *m = u8::from(*b == 0));
+            let mask = Mask::of(Region::whole(11, 7), bits.iter().map(|bit| *bit == 0));
             let found = to_set(&mask);
             for (i, d) in found.iter().enumerate() {
                 let (x, y) = ((i % 11) as f32, (i / 11) as f32);

@@ -40,11 +40,8 @@ impl EpipolarCheck {
             let Some(found) = left.find_in(&right, [x, y]) else { continue };
             check.rows_px.push(found.y - y as f64);
             let at = Point2::new(x as f64, y as f64);
-            let measured = frame.depth.as_ref().and_then(|depth| {
-                let row = (depth.width, depth.height) == (frame.left.width(), frame.left.height());
-                let index = y as usize * depth.width as usize + x as usize;
-                depth.data.get(index).copied().filter(|z| row && *z > 0.0)
-            });
+            let depth = frame.depth.as_ref().and_then(|depth| calibration.camera.usable(depth));
+            let measured = depth.map(|depth| depth.at(x as u32, y as u32)).filter(|z| *z > 0.0);
             if let (Some(point), Some(measured)) = (calibration.triangulate(&at, &found), measured) {
                 check.depth_ratio.push(point.z / f64::from(measured));
             }
@@ -174,9 +171,7 @@ mod tests {
         let texture: Vec<u8> = (0..80 * 80).map(|_| rng.random_range(40..220)).collect();
         let eye = |shift: i64, low: i64| {
             let level = |x: i64, y: i64| texture[((y + 20 - low) / 6 * 80 + (x + 20 + shift) / 6) as usize];
-            let data =
-                (0..240).flat_map(|y| (0..320).flat_map(move |x| [level(x, y); 3])).collect::<Vec<u8>>();
-            RgbImage::from_rgb(320, 240, data).unwrap()
+            RgbImage::painted(320, 240, |x, y| [level(x.into(), y.into()); 3])
         };
         StereoFrame {
             stamp_ns: 0,
@@ -204,9 +199,7 @@ mod tests {
 
     #[test]
     fn flat_and_small_pictures_show_nothing() {
-        let eye = |level, (width, height)| {
-            RgbImage::from_rgb(width, height, vec![level; (width * height * 3) as usize]).unwrap()
-        };
+        let eye = |level, (width, height)| RgbImage::painted(width, height, |_, _| [level; 3]);
         for (level, size) in [(0, (320, 240)), (255, (320, 240)), (90, (1, 1))] {
             let (left, right) = (eye(level, size), eye(level, size));
             let frame = StereoFrame { left, right, depth: None, ..wall(0) };

@@ -38,11 +38,8 @@ pub enum FileError {
     #[error("is not a PNG or JPEG image that can be decoded: {}", .0.to_string().trim_end())]
     Decode(#[source] image::ImageError),
     /// It is an image, but not a depth image.
-    #[error("is no depth image: that is 16 bit gray, mm, as PNG, and this is {found}")]
-    NotDepth {
-        /// The kind of image found.
-        found: String,
-    },
+    #[error("is no depth image: that is 16 bit gray, mm, as PNG, and this is {0}")]
+    NotDepth(String),
     /// It is a JPEG image whose end is missing.
     #[error("is a JPEG image that is cut short: its end is missing; copy it again from where it came")]
     CutShort,
@@ -55,20 +52,14 @@ pub enum FileError {
         height: u32,
     },
     /// The file is larger than any accepted image.
-    #[error("is {bytes} bytes long; at most {MAX_FILE_BYTES} are read")]
-    TooLong {
-        /// Its length, bytes.
-        bytes: u64,
-    },
+    #[error("is {0} bytes long; at most {MAX_FILE_BYTES} are read")]
+    TooLong(u64),
     /// The folder contains no image.
     #[error("there is no PNG or JPEG file in it")]
     Empty,
     /// A file that describes cameras does not.
-    #[error("does not describe cameras: {}", findings.first().map_or_else(String::new, ToString::to_string))]
-    Calibration {
-        /// Everything that is wrong with it.
-        findings: Vec<Finding>,
-    },
+    #[error("does not describe cameras: {}", .0.first().map_or_else(String::new, ToString::to_string))]
+    Calibration(Vec<Finding>),
 }
 
 /// Reads a PNG or JPEG file with the pixels as stored: the file's orientation tag is not applied. Transparency is
@@ -77,8 +68,7 @@ pub enum FileError {
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
 pub fn read_image(path: &Path) -> Result<RgbImage, FileError> {
-    let size = size_of(open(path)?)?;
-    read(open(path)?, size)
+    rgb(open(path)?)
 }
 
 /// Decodes the bytes of a PNG or JPEG file; see [`read_image`].
@@ -86,8 +76,7 @@ pub fn read_image(path: &Path) -> Result<RgbImage, FileError> {
 /// # Errors
 /// [`FileError`] when they are not such an image or it is too large.
 pub fn decode_image(bytes: &[u8]) -> Result<RgbImage, FileError> {
-    let size = size_of(Cursor::new(bytes))?;
-    read(Cursor::new(bytes), size)
+    rgb(Cursor::new(bytes))
 }
 
 /// Reads a depth image: a PNG file of 16 bit gray, millimetres. Returns width and height, px, and two little-endian
@@ -96,8 +85,7 @@ pub fn decode_image(bytes: &[u8]) -> Result<RgbImage, FileError> {
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
 pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
-    let size = size_of(open(path)?)?;
-    gray(open(path)?, size, true)
+    gray(open(path)?, true)
 }
 
 /// Decodes the bytes of a gray PNG or JPEG file to width and height, px, and one byte per pixel. With `wide` it decodes
@@ -106,19 +94,18 @@ pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
 /// # Errors
 /// [`FileError`] when they are not such an image or it is too large.
 pub fn decode_gray(bytes: &[u8], wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
-    let size = size_of(Cursor::new(bytes))?;
-    gray(Cursor::new(bytes), size, wide)
+    gray(Cursor::new(bytes), wide)
 }
 
-fn gray<R: BufRead + Seek>(from: R, size: (u32, u32), wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
-    let image = decoded(from, size)?;
+fn gray<R: BufRead + Seek>(from: R, wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
+    let image = decoded(from)?;
     let (width, height) = (image.width(), image.height());
     let bytes = match image {
         DynamicImage::ImageLuma16(depth) if wide => {
             depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
         }
         // Grey levels computed from colours are not distances.
-        other if wide => return Err(FileError::NotDepth { found: kind(&other) }),
+        other if wide => return Err(FileError::NotDepth(kind(&other))),
         other => other.into_luma8().into_raw(),
     };
     Ok((width, height, bytes))
@@ -169,7 +156,7 @@ fn folder(path: &Path) -> Result<Vec<PathBuf>, FileError> {
 fn open(path: &Path) -> Result<BufReader<File>, FileError> {
     let file = File::open(path).map_err(FileError::Read)?;
     let bytes = file.metadata().map_err(FileError::Read)?.len();
-    if bytes > MAX_FILE_BYTES { Err(FileError::TooLong { bytes }) } else { Ok(BufReader::new(file)) }
+    if bytes > MAX_FILE_BYTES { Err(FileError::TooLong(bytes)) } else { Ok(BufReader::new(file)) }
 }
 
 /// Width and height, px, of an image that is not too large; does not decode the pixels.
@@ -194,14 +181,16 @@ fn decoder<R: BufRead + Seek>(from: R, most_bytes: u64) -> Result<ImageReader<R>
     Ok(reader)
 }
 
-fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<RgbImage, FileError> {
-    let rgb = decoded(from, size)?.into_rgb8();
+fn rgb<R: BufRead + Seek>(from: R) -> Result<RgbImage, FileError> {
+    let rgb = decoded(from)?.into_rgb8();
     let (width, height) = (rgb.width(), rgb.height());
     RgbImage::from_rgb(width, height, rgb.into_raw()).map_err(|_| FileError::TooLarge { width, height })
 }
 
-/// Decodes an image whose size was checked before.
-fn decoded<R: BufRead + Seek>(mut from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
+/// Decodes an image that is not too large.
+fn decoded<R: BufRead + Seek>(mut from: R) -> Result<DynamicImage, FileError> {
+    let (width, height) = size_of(&mut from)?;
+    from.rewind().map_err(FileError::Read)?;
     let is_jpeg = from.fill_buf().map_err(FileError::Read)?.starts_with(&JPEG);
     if is_jpeg && !jpeg::is_whole(&mut from).map_err(FileError::Read)? {
         return Err(FileError::CutShort);

@@ -3,6 +3,8 @@
 
 use nalgebra::Isometry3;
 
+use crate::mask::Region;
+
 /// A decoded image: RGB, 8 bit a channel, rows from the top, three bytes a pixel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RgbImage {
@@ -119,6 +121,12 @@ impl RgbImage {
         } else {
             Err(ImageError::Size { width, height, expected, actual: data.len() })
         }
+    }
+
+    /// An image with these colours at each column and row, in rows from the top.
+    pub fn painted(width: u32, height: u32, mut color: impl FnMut(u32, u32) -> [u8; 3]) -> Self {
+        let data = Region::whole(width, height).pixels().flat_map(|(x, y)| color(x, y)).collect();
+        Self { width, height, data }
     }
 
     /// Width, px.

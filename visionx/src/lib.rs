@@ -59,8 +59,8 @@ pub use frame::{DepthImage, ImageError, RgbImage, StereoFrame};
 pub use image_source::ImageSource;
 pub use joined::JoinedImages;
 pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
-pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
-pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
+pub use localizer::{ObjectEstimate, ObjectLocalizer};
+pub use marker::{ColorMarkerObjectTracking, MarkerEstimate};
 pub use mask::{Mask, PixelRun, Region};
 pub use processor::{
     ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy, Trigger, Workers,

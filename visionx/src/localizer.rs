@@ -14,18 +14,9 @@ use crate::camera::StereoCalibration;
 use crate::color::ColorModel;
 use crate::components::{Component, components};
 use crate::frame::{RgbImage, StereoFrame};
-use crate::mask::{Mask, Region};
+use crate::mask::Mask;
 use crate::minimize::simplex;
 use crate::outline::{ConvexOutline, RowSums, border_points, box_outline};
-
-/// Prior knowledge of an object.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BoxModel {
-    /// Edge lengths along the box's own x, y, z, m. The box lies on a face normal to its z.
-    pub size: Vector3<f64>,
-    /// Its colour.
-    pub color: ColorModel,
-}
 
 /// The located object.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,21 +30,16 @@ pub struct ObjectEstimate {
     pub covariance: Matrix4<f64>,
     /// Visible fraction of the silhouette, 0 to 1, mean of both images.
     pub visible: f64,
-    /// Root mean square distance of the visible outline from the fitted one, px.
-    pub residual_px: f64,
     /// The fitted silhouette in the left image, px.
     pub outline_left: Vec<Point2<f64>>,
-    /// The fitted silhouette in the right image, px.
-    pub outline_right: Vec<Point2<f64>>,
-    /// The frame's stamp, ns.
-    pub stamp_ns: u64,
 }
 
 /// Finds a box of known colour and size in stereo frames. Keeps no state between frames.
 #[derive(Clone, Debug)]
 pub struct ObjectLocalizer {
     calibration: StereoCalibration,
-    model: BoxModel,
+    size: Vector3<f64>,
+    color: ColorModel,
     /// The rotation of the surface, root frame.
     surface: UnitQuaternion<f64>,
 }
@@ -97,9 +83,16 @@ const BORDER_REACH_PX: f64 = 2.5;
 const BORDER_SIGMA_PX: f64 = 0.35;
 
 impl ObjectLocalizer {
-    /// A localizer for one kind of object on a level surface.
-    pub fn new(calibration: StereoCalibration, model: BoxModel) -> Self {
-        Self { calibration, model, surface: UnitQuaternion::identity() }
+    /// A localizer for boxes of this colour (RGB) with these edge lengths along their own x, y, z, m, on a level surface. They lie on a
+    /// face normal to their z.
+    pub fn new(calibration: StereoCalibration, size: impl Into<Vector3<f64>>, color: [u8; 3]) -> Self {
+        let (size, color, surface) = (size.into(), ColorModel::from_rgb(color), UnitQuaternion::identity());
+        Self { calibration, size, color, surface }
+    }
+
+    /// The height of the boxes, m.
+    pub(crate) fn height(&self) -> f64 {
+        self.size.z
     }
 
     /// The same for objects on a surface with this rotation (root frame): a level one turned by its tilt.
@@ -109,40 +102,29 @@ impl ObjectLocalizer {
         self
     }
 
-    /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size.
+    /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size, or the images do not have the
+    /// calibration's size.
     pub fn localize(&self, frame: &StereoFrame) -> Option<ObjectEstimate> {
-        self.localize_all(frame).into_iter().next()
-    }
-
-    /// All objects in the frame that fit, most visible first. Empty when the images do not have the calibration's
-    /// size.
-    pub fn localize_all(&self, frame: &StereoFrame) -> Vec<ObjectEstimate> {
-        let size = self.model.size;
+        let size = self.size;
         if !self.calibration.fits(frame) || size.min() <= 1e-3 || size.max() >= 2.0 || !size.sum().is_finite()
         {
-            return Vec::new();
+            return None;
         }
-        let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
+        let masks = [&frame.left, &frame.right].map(|image| self.color.segment(image));
         let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let surface_from_left = self.surface.inverse() * frame.root_from_left;
-        let mut fits: Vec<Fit> = Vec::new();
+        let mut best: Option<Fit> = None;
         for l in left.iter().take(4) {
             for r in right.iter().take(4) {
                 let Some(start) = self.start(l, r, &surface_from_left) else { continue };
                 let eyes =
                     [Self::eye(l, &left, &frame.left, start.1), Self::eye(r, &right, &frame.right, start.1)];
-                fits.extend(self.fit(&eyes, &start.0, &surface_from_left).filter(Fit::convinces));
+                let fit = self.fit(&eyes, &start.0, &surface_from_left).filter(Fit::convinces);
+                let better = |fit: &Fit| best.as_ref().is_none_or(|best| fit.quality() > best.quality());
+                best = fit.filter(better).or(best);
             }
         }
-        fits.sort_by(|a, b| b.quality().total_cmp(&a.quality()));
-        let mut distinct: Vec<Fit> = Vec::new();
-        for fit in fits {
-            let near = |f: &Fit| (f.pose.xyz() - fit.pose.xyz()).norm() < 0.5 * size.max();
-            if !distinct.iter().any(near) {
-                distinct.push(fit);
-            }
-        }
-        distinct.into_iter().map(|fit| fit.estimate(&self.surface, frame.stamp_ns)).collect()
+        best.map(|fit| fit.estimate(&self.surface))
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -153,7 +135,7 @@ impl ObjectLocalizer {
         surface_from_left: &Isometry3<f64>,
     ) -> Option<(Point3<f64>, f64)> {
         let camera = &self.calibration.camera;
-        let radius_m = 0.5 * self.model.size.norm();
+        let radius_m = 0.5 * self.size.norm();
         let point = self.calibration.triangulate(&l.centroid, &r.centroid)?;
         let radius_px = radius_m * camera.focal / point.z;
         let rows = (l.centroid.y - r.centroid.y).abs();
@@ -209,7 +191,7 @@ impl ObjectLocalizer {
     /// The silhouettes in both images.
     fn outlines(&self, pose: &Pose4, left_from_surface: &Isometry3<f64>) -> Option<[ConvexOutline; 2]> {
         let left_from_box = left_from_surface * isometry(pose);
-        let (camera, size) = (&self.calibration.camera, &self.model.size);
+        let (camera, size) = (&self.calibration.camera, &self.size);
         let left = box_outline(camera, 0.0, &left_from_box, size)?;
         Some([left, box_outline(camera, self.calibration.baseline, &left_from_box, size)?])
     }
@@ -310,7 +292,7 @@ impl Fit {
         self.visible + self.supported - self.contradicted - self.spilled
     }
 
-    fn estimate(self, surface: &UnitQuaternion<f64>, stamp_ns: u64) -> ObjectEstimate {
+    fn estimate(self, surface: &UnitQuaternion<f64>) -> ObjectEstimate {
         let yaw = half_turn(self.pose.w);
         let upright = isometry(&Pose4::new(self.pose.x, self.pose.y, self.pose.z, yaw));
         let turn = surface.to_rotation_matrix().to_homogeneous();
@@ -319,10 +301,7 @@ impl Fit {
             yaw,
             covariance: turn * self.covariance * turn.transpose(),
             visible: self.visible,
-            residual_px: self.residual_px,
             outline_left: self.outlines[0].corners().to_vec(),
-            outline_right: self.outlines[1].corners().to_vec(),
-            stamp_ns,
         }
     }
 }
@@ -364,13 +343,11 @@ fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
     let region = object.region();
     let mut histograms = vec![[0u32; 256]; 3];
     let mut total = 0u32;
-    for_pixels(region, |x, y| {
-        if !object.contains(i64::from(x), i64::from(y)) {
-            let p = image.pixel(x, y);
-            (0..3).for_each(|i| histograms[i][usize::from(p[i])] += 1);
-            total += 1;
-        }
-    });
+    for ((x, y), _) in region.pixels().zip(object.data()).filter(|(_, bit)| **bit == 0) {
+        let p = image.pixel(x, y);
+        (0..3).for_each(|i| histograms[i][usize::from(p[i])] += 1);
+        total += 1;
+    }
     let median = |h: &[u32; 256]| {
         let mut sum = 0;
         h.iter().position(|n| {
@@ -384,14 +361,6 @@ fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
         *m &= 1 - o;
     }
     mask
-}
-
-fn for_pixels(region: Region, mut each: impl FnMut(u32, u32)) {
-    for y in region.y..region.y + region.height {
-        for x in region.x..region.x + region.width {
-            each(x, y);
-        }
-    }
 }
 
 #[cfg(test)]
@@ -409,7 +378,7 @@ mod tests {
     }
 
     fn localizer() -> ObjectLocalizer {
-        ObjectLocalizer::new(CALIBRATION, BoxModel { size: SIZE, color: ColorModel::from_rgb(YELLOW) })
+        ObjectLocalizer::new(CALIBRATION, SIZE, YELLOW)
     }
 
     fn errors(estimate: &ObjectEstimate, x: f64, y: f64, yaw: f64) -> (f64, f64) {
@@ -426,7 +395,7 @@ mod tests {
             let estimate = localizer().localize(&frame(&scene, 7, i as u64)).unwrap();
             let (place, turn) = errors(&estimate, *x, *y, *yaw);
             assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad, {estimate:?}");
-            assert!(estimate.visible > 0.95 && estimate.stamp_ns == 7);
+            assert!(estimate.visible > 0.95);
         }
     }
 
@@ -482,8 +451,8 @@ mod tests {
         for frame in empty_frames() {
             assert_eq!(localizer().localize(&frame), None);
         }
-        let nonsense = BoxModel { size: Vector3::repeat(f64::NAN), color: ColorModel::from_rgb(YELLOW) };
+        let nonsense = ObjectLocalizer::new(CALIBRATION, Vector3::repeat(f64::NAN), YELLOW);
         let scene = [table(TABLE), block(0.3, 0.5, 0.3, SIZE)];
-        assert_eq!(ObjectLocalizer::new(CALIBRATION, nonsense).localize(&frame(&scene, 0, 0)), None);
+        assert_eq!(nonsense.localize(&frame(&scene, 0, 0)), None);
     }
 }

@@ -64,6 +64,12 @@ impl Region {
         self.grown(0, width, height)
     }
 
+    /// Its pixels (column, row), row by row.
+    pub fn pixels(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
+        let Self { x, y, width, height } = *self;
+        (y..y + height).flat_map(move |row| (x..x + width).map(move |column| (column, row)))
+    }
+
     /// Number of pixels.
     pub fn area(&self) -> usize {
         self.width as usize * self.height as usize
@@ -75,10 +81,30 @@ impl Region {
     }
 }
 
+/// The neighbours in its row and column of the pixel with the index `i`, in an image of this width and height.
+pub(crate) fn beside(i: usize, [w, h]: [usize; 2]) -> impl Iterator<Item = usize> {
+    let left = (!i.is_multiple_of(w)).then(|| i - 1);
+    let right = (i % w + 1 < w).then_some(i + 1);
+    [left, right, i.checked_sub(w), (i + w < w * h).then_some(i + w)].into_iter().flatten()
+}
+
 impl Mask {
     /// A mask with nothing set.
     pub fn empty(region: Region) -> Self {
         Self { region, data: vec![0; region.area()] }
+    }
+
+    /// A mask with these pixels, row by row; those that are missing at the end are not set.
+    pub fn of(region: Region, bits: impl IntoIterator<Item = bool>) -> Self {
+        let mut mask = Self::empty(region);
+        mask.data.iter_mut().zip(bits).for_each(|(pixel, bit)| *pixel = u8::from(bit));
+        mask
+    }
+
+    /// The set pixels in the coordinates of the image (column, row), row by row.
+    pub fn pixels(&self) -> impl Iterator<Item = (i64, i64)> + '_ {
+        let set = self.region.pixels().zip(&self.data).filter(|(_, bit)| **bit != 0);
+        set.map(|((x, y), _)| (i64::from(x), i64::from(y)))
     }
 
     /// Where the mask lies in its image.
@@ -122,6 +148,11 @@ impl Mask {
         self.data[y as usize * self.width() + x as usize] != 0
     }
 
+    /// Whether a neighbour of this pixel of the image in its row or column is not set.
+    pub(crate) fn is_at_edge(&self, (x, y): (i64, i64)) -> bool {
+        [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].into_iter().any(|(x, y)| !self.contains(x, y))
+    }
+
     /// Sets the pixels of some runs, given in the coordinates of the image; skips those outside of the region.
     pub fn add(&mut self, runs: &[PixelRun]) {
         let (region, w) = (self.region, self.width());
@@ -160,15 +191,8 @@ mod tests {
 
     #[test]
     fn the_majority_closes_a_hole_and_takes_off_a_speck() {
-        let mut mask = Mask::empty(Region::whole(7, 5));
-        mask.data_mut().copy_from_slice(&[
-            1, 1, 1, 0, 0, 0, 0, //
-            1, 0, 1, 0, 0, 0, 0, //
-            1, 1, 1, 0, 0, 1, 0, //
-            0, 0, 0, 0, 0, 0, 0, //
-            0, 0, 0, 0, 0, 0, 1,
-        ]);
-        let smooth = mask.majority();
+        let rows = ["###....", "#.#....", "###..#.", ".......", "......#"];
+        let smooth = Mask::of(Region::whole(7, 5), rows.concat().bytes().map(|c| c == b'#')).majority();
         assert_eq!([smooth.row(1)[1], smooth.row(2)[5], smooth.row(4)[6]], [1, 0, 1]);
     }
 

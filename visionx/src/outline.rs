@@ -166,21 +166,13 @@ impl RowSums {
 /// The points half way between neighbouring pixels of which only one is set, px. There are none at the border of
 /// the image (`width` x `height`), because what lies beyond it is unknown.
 pub(crate) fn border_points(mask: &Mask, width: u32, height: u32) -> Vec<Point2<f64>> {
-    let region = mask.region();
-    let (x0, y0) = (i64::from(region.x), i64::from(region.y));
-    let (x1, y1) = (x0 + i64::from(region.width), y0 + i64::from(region.height));
     let mut points = Vec::new();
-    for y in y0..y1 {
-        for x in x0..x1 {
-            if !mask.contains(x, y) {
-                continue;
-            }
-            for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
-                let (nx, ny) = (x + dx, y + dy);
-                let inside = nx >= 0 && ny >= 0 && nx < i64::from(width) && ny < i64::from(height);
-                if inside && !mask.contains(nx, ny) {
-                    points.push(Point2::new(x as f64 + 0.5 * dx as f64, y as f64 + 0.5 * dy as f64));
-                }
+    for (x, y) in mask.pixels() {
+        for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+            let (nx, ny) = (x + dx, y + dy);
+            let inside = nx >= 0 && ny >= 0 && nx < i64::from(width) && ny < i64::from(height);
+            if inside && !mask.contains(nx, ny) {
+                points.push(Point2::new(x as f64 + 0.5 * dx as f64, y as f64 + 0.5 * dy as f64));
             }
         }
     }

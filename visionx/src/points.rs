@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Point2, Point3};
 
 use crate::camera::PinholeCamera;
-use crate::frame::{DepthImage, StereoFrame};
+use crate::frame::DepthImage;
+use crate::mask::Region;
 
 /// From this distance on a point is less certain, m: the error of depth grows with its square.
 const CERTAIN: f64 = 1.25;
@@ -39,13 +40,6 @@ pub(crate) fn uncertainty(depth: f64) -> f64 {
     (depth / CERTAIN).powi(2).max(1.0)
 }
 
-/// The depth image of a frame, if it is whole and of this camera.
-pub(crate) fn usable_depth<'f>(frame: &'f StereoFrame, camera: &PinholeCamera) -> Option<&'f DepthImage> {
-    let depth = frame.depth.as_ref()?;
-    let fits = (depth.width, depth.height) == (camera.width, camera.height);
-    (fits && depth.data.len() == (depth.width as usize) * (depth.height as usize)).then_some(depth)
-}
-
 impl DepthPoints {
     /// The points of every `step`-th pixel along both axes, up to a depth of `farthest` m.
     pub(crate) fn of(
@@ -56,7 +50,7 @@ impl DepthPoints {
     ) -> Self {
         let (w, h) = (depth.width / step, depth.height / step);
         let (mut points, mut index) = (Vec::new(), vec![0; (w * h) as usize]);
-        for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+        for (x, y) in Region::whole(w, h).pixels() {
             let (u, v) = (x * step, y * step);
             let z = depth.data[(v * depth.width + u) as usize];
             if !(z > 0.0 && f64::from(z) <= farthest) {

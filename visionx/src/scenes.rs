@@ -22,16 +22,22 @@ pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
 pub(crate) const SKIN: [u8; 3] = [224, 172, 138];
 pub(crate) const TABLE: [u8; 3] = [150, 115, 80];
 
-/// Sends `frames` frames, one every 66 ms, stamped 0, 1, 2 ...; the one with the number `spoilt` cannot be read.
+/// Sends a frame `frames` times, one every 66 ms, stamped 0, 1, 2 ...; the one with the number `spoilt` cannot be read.
 pub(crate) struct TestCamera {
-    pub(crate) frames: u64,
-    pub(crate) spoilt: Option<u64>,
+    frame: StereoFrame,
+    frames: u64,
+    spoilt: Option<u64>,
     given: AtomicU64,
 }
 
 impl TestCamera {
+    /// With black images.
     pub(crate) fn new(frames: u64, spoilt: Option<u64>) -> Arc<Self> {
-        Arc::new(Self { frames, spoilt, given: AtomicU64::new(0) })
+        Self::of(empty_frames().swap_remove(0), frames, spoilt)
+    }
+
+    pub(crate) fn of(frame: StereoFrame, frames: u64, spoilt: Option<u64>) -> Arc<Self> {
+        Arc::new(Self { frame, frames, spoilt, given: AtomicU64::new(0) })
     }
 }
 
@@ -52,7 +58,7 @@ impl ImageSource for TestCamera {
         match stamp_ns {
             at if at >= self.frames => Err(ImageError::Gone { provider }),
             at if Some(at) == self.spoilt => Err(ImageError::Spoilt { provider, what: "nothing".into() }),
-            _ => Ok(Arc::new(StereoFrame { stamp_ns, ..empty_frames().swap_remove(0) })),
+            _ => Ok(Arc::new(StereoFrame { stamp_ns, ..self.frame.clone() })),
         }
     }
 }
@@ -95,23 +101,16 @@ pub(crate) fn frame_with_depth(things: &[Thing], stamp_ns: u64, seed: u64) -> St
 /// Frames with nothing to detect: black, white, noise, and images of the wrong size.
 pub(crate) fn empty_frames() -> Vec<StereoFrame> {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let mut images = vec![vec![0; 640 * 480 * 3], vec![255; 640 * 480 * 3]];
-    images.push((0..640 * 480 * 3).map(|_| rng.random()).collect());
-    let image = |w, h, data: Vec<u8>| RgbImage::from_rgb(w, h, data).unwrap();
-    let mut eyes: Vec<_> = images.into_iter().map(|data| image(640, 480, data)).collect();
-    eyes.push(image(1, 1, vec![200, 150, 120]));
-    eyes.push(image(0, 0, vec![]));
+    let flat = |level| RgbImage::painted(640, 480, |_, _| [level; 3]);
+    let noise = RgbImage::painted(640, 480, |_, _| rng.random());
+    let small = [1, 0].map(|side| RgbImage::painted(side, side, |_, _| [200, 150, 120]));
+    let eyes = [flat(0), flat(255), noise].into_iter().chain(small);
     let root_from_left = root_from_left();
-    eyes.into_iter()
-        .zip(0..)
-        .map(|(eye, i)| StereoFrame {
-            stamp_ns: i * 66_000_000,
-            left: eye.clone(),
-            right: eye,
-            depth: None,
-            root_from_left,
-        })
-        .collect()
+    let frame = |(eye, i): (RgbImage, u64)| {
+        let (left, right) = (eye.clone(), eye);
+        StereoFrame { stamp_ns: i * 66_000_000, left, right, depth: None, root_from_left }
+    };
+    eyes.zip(0..).map(frame).collect()
 }
 
 fn cast(

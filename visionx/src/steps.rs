@@ -8,10 +8,10 @@ use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Shown, Va
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
-use crate::camera::{PinholeCamera, StereoCalibration};
+use crate::camera::PinholeCamera;
 use crate::environment::{EnvironmentModel, SurfaceEstimate};
 use crate::frame::{ImageError, RgbImage, StereoFrame};
-use crate::localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
+use crate::localizer::{ObjectEstimate, ObjectLocalizer};
 use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
 use crate::processor::{ImageProcessor, Seen};
 use crate::providers::{RawFrame, StereoPair};
@@ -297,8 +297,6 @@ pub struct ObjectStep {
     localizer: ObjectLocalizer,
     /// Finds the table; `None` when it has been looked for.
     tables: Option<TabletopSegmentation>,
-    /// The box's height, m.
-    height: f64,
     class: String,
     last: Option<ObjectEstimate>,
 }
@@ -309,13 +307,13 @@ const STANDS: f64 = 0.04;
 impl ObjectStep {
     /// The step around a localizer of boxes of this class, on a surface whose tilt the localizer knows.
     pub fn new(localizer: ObjectLocalizer, class: &str) -> Self {
-        Self { localizer, tables: None, height: 0.0, class: class.into(), last: None }
+        Self { localizer, tables: None, class: class.into(), last: None }
     }
 
-    /// The step for a box on a table that is to be found with it.
-    pub fn on_a_table(calibration: StereoCalibration, model: BoxModel, class: &str) -> Self {
-        let (height, tables) = (model.size.z, Some(TabletopSegmentation::new(calibration.camera)));
-        Self { height, tables, ..Self::new(ObjectLocalizer::new(calibration, model), class) }
+    /// The step for a box on a table that is to be found with it, by depth images of this camera.
+    #[must_use]
+    pub fn with_table(self, camera: PinholeCamera) -> Self {
+        Self { tables: Some(TabletopSegmentation::new(camera)), ..self }
     }
 
     /// The table under the box, once a box has been found.
@@ -324,7 +322,7 @@ impl ObjectStep {
         let Tabletop { table, .. } = self.tables.take()?.segment(frame)?;
         let middle = Point3::from(first.root_from_object.translation.vector);
         let above = (table.root_from_table.inverse() * middle).z;
-        if (above - self.height / 2.0).abs() > STANDS {
+        if (above - self.localizer.height() / 2.0).abs() > STANDS {
             return None;
         }
         let normal = Unit::new_normalize(table.root_from_table * Vector3::z());

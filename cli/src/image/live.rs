@@ -13,8 +13,8 @@ use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offe
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, EnvironmentModel, EnvironmentStep, FingertipStep, HandObserver, HandStep,
-    ImageError, ImageProcessor, MarkerSettings, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics,
-    ResultSink, Seen, SeenBy, TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
+    ImageError, ImageProcessor, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Seen,
+    SeenBy, TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
 };
 use async_trait::async_trait;
 use serde_json::{Value as Json, json};
@@ -53,7 +53,7 @@ impl Look {
                 Box::new(OfStereo::new(FingertipStep::new(tracking), pair))
             }
             Self::Marker => {
-                let tracking = ColorMarkerObjectTracking::new(calibration, MarkerSettings::new(color), 1);
+                let tracking = ColorMarkerObjectTracking::new(calibration, color, None, 1);
                 Box::new(OfStereo::new(MarkerStep::new(tracking, "marker"), pair))
             }
             Self::Tabletop => Box::new(OfStereo::new(

@@ -18,6 +18,7 @@ mod lag;
 mod observe;
 mod plot;
 mod reach;
+mod recording;
 mod serve;
 mod show;
 mod work;
@@ -110,7 +111,7 @@ enum MemoryCommand {
         #[arg(value_name = "FILE")]
         name: String,
     },
-    /// Write snapshots as JSON lines.
+    /// Write snapshots as JSON lines, or as a recording for Foxglove.
     Export(ExportArgs),
     /// Store the snapshots of JSON lines, with their versions; a file named by `--store` is created if it does not
     /// exist.
@@ -168,10 +169,10 @@ struct GetArgs {
     /// All versions that still exist, long-term memory included.
     #[arg(long)]
     history: bool,
-    /// The state at this time, ns since 1970.
+    /// The state at this time, ns since 1970; below a year, since the start of a simulated run.
     #[arg(long, value_name = "NS", conflicts_with = "history")]
     at: Option<u64>,
-    /// The state just before this time, ns since 1970.
+    /// The state just before this time, ns since 1970; below a year, since the start of a simulated run.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "at"])]
     before: Option<u64>,
     /// The newest N of them.
@@ -192,7 +193,7 @@ struct PutArgs {
     /// Refuse unless this is the newest version; 0: the entity must not exist.
     #[arg(long, value_name = "VERSION")]
     expect: Option<u64>,
-    /// The time that the data describe, ns since 1970; now if not given.
+    /// The time that the data describe, ns since 1970 (below a year: since the start of a simulated run); now if not given.
     #[arg(long, value_name = "NS")]
     time: Option<u64>,
     /// The memory removes the entity after this time, for instance `10s` or `2h`, if nobody writes it again.
@@ -228,16 +229,16 @@ struct QueryArgs {
     /// All versions instead of the newest.
     #[arg(long)]
     history: bool,
-    /// Versions that describe this time or later, ns since 1970.
+    /// Versions that describe this time or later, ns since 1970; below a year, since the start of a simulated run.
     #[arg(long, value_name = "NS")]
     from: Option<u64>,
-    /// Versions that describe this time or earlier, ns since 1970.
+    /// Versions that describe this time or earlier, ns since 1970; below a year, since the start of a simulated run.
     #[arg(long, value_name = "NS")]
     to: Option<u64>,
-    /// The state at this time, ns since 1970.
+    /// The state at this time, ns since 1970; below a year, since the start of a simulated run.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to"])]
     at: Option<u64>,
-    /// The state just before this time, ns since 1970.
+    /// The state just before this time, ns since 1970; below a year, since the start of a simulated run.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to", "at"])]
     before: Option<u64>,
     /// Include long-term memory.
@@ -307,7 +308,7 @@ struct PlotArgs {
 struct ExportArgs {
     #[command(flatten)]
     pattern: PatternArg,
-    /// The file; standard output if not given.
+    /// The file; standard output if not given. A file `*.mcap` is a recording in Foxglove's schemas.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 
-use armarium_memoryx::Snapshot;
 use armarium_memoryx::wire::MaintenanceReport;
+use armarium_memoryx::{Snapshot, TimeOf};
 use armarium_values::Value;
 use serde_json::{Value as Json, json};
 
@@ -33,7 +33,7 @@ impl Printer {
             writeln!(
                 out,
                 "{:<44} {:>7}  {:<23} {:>5}  attributes",
-                "entity", "version", "time (UTC)", "conf"
+                "entity", "version", "time (UTC, or of a run)", "conf"
             )?;
         }
         self.rows += 1;
@@ -158,7 +158,7 @@ impl Printer {
 }
 
 /// A snapshot as plain JSON.
-fn json_of(snapshot: &Snapshot) -> Json {
+pub(super) fn json_of(snapshot: &Snapshot) -> Json {
     let instances = snapshot.instances.iter().map(|instance| {
         let attributes: BTreeMap<&str, Json> =
             instance.attributes.iter().map(|(name, value)| (name, value.to_json())).collect();
@@ -172,6 +172,7 @@ fn json_of(snapshot: &Snapshot) -> Json {
         "id": snapshot.id.as_str(),
         "version": snapshot.version,
         "referenced_ns": snapshot.referenced_ns,
+        "referenced_clock": if snapshot.clock() == TimeOf::Run { "run" } else { "day" },
         "sent_ns": snapshot.sent_ns,
         "arrived_ns": snapshot.arrived_ns,
         "removed": snapshot.is_removed(),
@@ -213,8 +214,8 @@ fn cut(text: &str) -> String {
 /// A time, ns since 1970, as UTC. Times of a clock with another epoch are printed in seconds.
 fn utc(ns: u64) -> String {
     let (seconds, milliseconds) = (ns / 1_000_000_000, ns / 1_000_000 % 1000);
-    if seconds < 86_400 * 365 {
-        return format!("{seconds}.{milliseconds:03} s");
+    if TimeOf::of(ns) == TimeOf::Run {
+        return format!("{seconds}.{milliseconds:03} s of a run");
     }
     let (days, rest) = (seconds / 86_400, seconds % 86_400);
     let (year, month, day) = civil(days);
@@ -264,7 +265,7 @@ mod tests {
 
     #[test]
     fn times_are_dates() {
-        assert_eq!(utc(1_500_000_000), "1.500 s");
+        assert_eq!(utc(1_500_000_000), "1.500 s of a run");
         assert_eq!(utc(951_782_400_000_000_000), "2000-02-29 00:00:00.000");
         assert_eq!(utc(1_763_736_362_123_456_789), "2025-11-21 14:46:02.123");
     }

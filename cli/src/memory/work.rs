@@ -15,6 +15,7 @@ use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
 use super::reach::Reached;
+use super::recording;
 use super::show::Printer;
 use super::{
     ExportArgs, Failure, GetArgs, LOCAL, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand,
@@ -332,6 +333,10 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], Failure> {
 
 async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let pattern = pattern(&export.pattern.pattern)?;
+    if let Some(path) = export.output.as_ref().filter(|path| path.extension().is_some_and(|e| e == "mcap")) {
+        let count = recording::record(reached, pattern, path).await?;
+        return Ok(writeln!(out, "{count} snapshots")?);
+    }
     let mut file = match &export.output {
         Some(path) => Some(BufWriter::new(File::create(path).map_err(|e| unusable(path, &e))?)),
         None => None,

@@ -9,6 +9,7 @@ use std::f64::consts::TAU;
 
 use armarium_motion::{
     DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
+    LiftAndShake,
 };
 use armarium_simulator::carrying::{CarriedBox, Carrying, CarryingFigures, CarryingRecord, PalmSensed};
 use armarium_simulator::start::MountedPad;
@@ -18,7 +19,7 @@ use nalgebra::{Point3, Vector3, Vector6};
 use super::dual_arm_robot::{Arms, JOINTS, Joints};
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult};
-use super::ilc::{Lift, learned, until_diverged};
+use super::ilc::{learned, until_diverged};
 use super::settings::{Settings as _, settings};
 
 settings! {
@@ -183,13 +184,13 @@ impl DualArm {
     }
 
     /// The demonstrated height of a hand.
-    fn lift(&self, side: usize) -> Lift {
+    fn lift(&self, side: usize) -> LiftAndShake {
         let (lift, amplitude, phase) = if side == 0 {
             (self.lift, self.amplitude, 0.0)
         } else {
             (self.left_lift, self.left_amplitude, self.left_phase)
         };
-        Lift { lift, amplitude, phase, omega: self.omega(), duration: self.duration }
+        LiftAndShake { lift, amplitude, phase, omega: self.omega(), duration: self.duration }
     }
 
     fn demonstrate(&self, arms: &mut Arms) -> Result<Demonstrations, ExperimentError> {
@@ -201,7 +202,7 @@ impl DualArm {
             let (mut q, lift) = (*open, self.lift(side));
             let mut path = Vec::with_capacity(self.steps() + 1);
             for k in 0..=self.steps() {
-                let up = Vector3::z() * lift.height(DT * k as f64);
+                let up = Vector3::z() * lift.at(DT * k as f64)[0];
                 q = arms.inverse(side, self.hand_position(side, pressed) + up, &q)?;
                 path.push(q.as_slice().to_vec());
             }

@@ -5,13 +5,12 @@ use std::f64::consts::TAU;
 
 use armarium_motion::{
     DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
-    MotionError, differentiate,
+    LiftAndShake, MotionError, differentiate,
 };
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector4, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::arm4::Arm4;
-use super::dpdmp::rise;
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult};
 use super::settings::{Setting, Settings as _, settings};
@@ -134,28 +133,6 @@ impl Experiment for Ilc {
     }
 }
 
-/// The demonstrated height of a hand: up to `lift` (m) within `duration` s, then an oscillation of `omega` rad/s about
-/// it with `amplitude` (m), from `phase` (rad) on.
-pub(super) struct Lift {
-    pub(super) lift: f64,
-    pub(super) amplitude: f64,
-    pub(super) phase: f64,
-    pub(super) omega: f64,
-    pub(super) duration: f64,
-}
-
-impl Lift {
-    /// Height above the start after `t` s, m.
-    pub(super) fn height(&self, t: f64) -> f64 {
-        let Self { lift, amplitude, phase, omega: w, duration } = *self;
-        if t >= duration {
-            return lift + amplitude * (w * (t - duration) + phase).sin();
-        }
-        let (sin, cos) = phase.sin_cos();
-        rise([lift + amplitude * sin, w * amplitude * cos, -w * w * amplitude * sin], duration, t)[0]
-    }
-}
-
 /// Runs `count` epochs, numbered from 1, until one fails: the user sets the gains, so an unstable motion is a valid
 /// result. Returns the epochs before it, and its number.
 pub(super) fn until_diverged<T, E>(
@@ -213,8 +190,8 @@ impl Ilc {
         Arm4 { shoulder: Vector3::new(0.0, side * self.shoulder, 0.0), links: self.links }
     }
 
-    fn lift(&self, lift: f64, amplitude: f64, phase: f64) -> Lift {
-        Lift { lift, amplitude, phase, omega: self.omega(), duration: self.duration }
+    fn lift(&self, lift: f64, amplitude: f64, phase: f64) -> LiftAndShake {
+        LiftAndShake { lift, amplitude, phase, omega: self.omega(), duration: self.duration }
     }
 
     /// Joint angles of the demonstration of one arm, one entry per step.
@@ -231,7 +208,7 @@ impl Ilc {
         let mut path = Vec::new();
         for k in 0..=self.steps() {
             let t = self.dt * k as f64;
-            let x = Vector3::new(self.hand[0], side * self.hand[1], self.start + lift.height(t));
+            let x = Vector3::new(self.hand[0], side * self.hand[1], self.start + lift.at(t)[0]);
             q = arm.inverse(x, posture, q).ok_or_else(|| {
                 ExperimentError::Failed(format!(
                     "an arm does not reach ({:.3}, {:.3}, {:.3}) m",

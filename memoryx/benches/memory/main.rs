@@ -1,6 +1,6 @@
 //! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
 //! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `finding`, `beside`,
-//! `store`, `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
+//! `store`, `durable`, `starts`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
 //! disk) only runs when named.
 //!
 //! Rates depend on the other load of the machine; so the processor time of each item is printed too.
@@ -14,11 +14,13 @@ use armarium_values::Value;
 
 mod axes;
 mod beside;
+mod durable;
 mod finding;
 mod frames;
 mod link;
 mod scale;
 mod shared;
+mod starts;
 mod store;
 mod working;
 
@@ -103,8 +105,10 @@ fn main() {
         store::long_term();
     }
     if is_wanted("durable") {
-        store::durable_agent();
-        store::beside_retention();
+        durable::durable();
+    }
+    if is_wanted("starts") {
+        runtime.block_on(starts::starts());
     }
     if wanted.iter().any(|word| word == "minutes") {
         frames::ten_minutes(&wanted);

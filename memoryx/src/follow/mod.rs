@@ -21,6 +21,8 @@ use crate::wire;
 
 /// Snapshots per query.
 const PAGE_SIZE: usize = 4096;
+/// So many entities are remembered whether the memory still has them or not.
+const MIN_REPORTED: usize = 16_384;
 /// If more entities differ, all are read at once.
 const MAX_ONE_BY_ONE: usize = 64;
 
@@ -79,6 +81,8 @@ pub struct Follower {
     changes: Changes,
     /// The last reported snapshot of each entity.
     reported: IndexMap<EntityId, LastSeen>,
+    /// With so many, those are forgotten that the memory has forgotten.
+    most_reported: usize,
     /// Every change that arrived before this time was received, ns.
     since_ns: u64,
     /// What was noticed and not yet read again.
@@ -111,7 +115,8 @@ impl Follower {
     pub async fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Result<Self, MemoryError> {
         let changes = memory.subscribe(&pattern).await?;
         let reported = IndexMap::new();
-        Ok(Self { memory, changes, reported, since_ns: 0, gap: None, ready: VecDeque::new() })
+        let (most_reported, ready) = (MIN_REPORTED, VecDeque::new());
+        Ok(Self { memory, changes, reported, most_reported, since_ns: 0, gap: None, ready })
     }
 
     /// Continues from the snapshots that were reported before, by entity. Changes since then come first, from the
@@ -200,7 +205,19 @@ impl Follower {
         }
         self.report(snapshot);
         self.since_ns = self.since_ns.max(self.changes.until_ns());
+        if self.reported.len() > self.most_reported {
+            let heads = self.memory.heads(self.changes.pattern()).await?;
+            let there: BTreeSet<&EntityId> = heads.entities.iter().map(|head| &head.id).collect();
+            self.reported.retain(|id, _| there.contains(id));
+            self.most_reported = MIN_REPORTED.max(2 * self.reported.len());
+        }
         Ok(())
+    }
+
+    /// How many entities it remembers.
+    #[cfg(test)]
+    pub(crate) fn remembered(&self) -> usize {
+        self.reported.len()
     }
 
     /// Reads what is missing. After an error, it is still missing.

@@ -89,3 +89,45 @@ async fn a_memory_that_begins_anew_is_followed_on() {
         assert_eq!(told.join(" "), expected);
     }
 }
+
+/// Large snapshots that nobody has taken wait only as long as the memory has them; who missed some is told, and reads the rest.
+#[tokio::test]
+async fn what_waits_for_a_slow_subscriber_is_bounded_in_bytes() {
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    let memory = Arc::new(memory.with_limits(MemoryLimits { history: 2, ..MemoryLimits::default() }));
+    let mut changes = memory.changes(&Pattern::any());
+    let (mut follower, _) = Follower::from_now(memory.clone(), Pattern::any()).await.unwrap();
+    let id: EntityId = "S/p/image".parse().unwrap();
+    let mut weak = Vec::new();
+    for _ in 0..10 {
+        let frame = Commit::new(id.clone(), 1, [("data", Value::Bytes(vec![7; 100_000]))]);
+        memory.commit_now(vec![frame]).unwrap();
+        weak.push(Arc::downgrade(&memory.latest_now(&id).unwrap()));
+    }
+    let held = weak.iter().filter(|snapshot| snapshot.upgrade().is_some()).count();
+    assert_eq!(held, 2, "what memory has forgotten is not kept for subscribers");
+    assert_eq!(changes.recv().await, Err(RecvError::Lagged(1)));
+    let told = follower.drain(100).await.unwrap();
+    assert_eq!(told.first(), Some(&Change::Missed { id: id.clone(), from: 1, to: 8 }));
+    assert_eq!(told.len(), 3);
+}
+
+/// Names that come and go: a follower remembers those that the memory remembers.
+#[tokio::test]
+async fn a_follower_forgets_the_names_that_are_gone() {
+    let now = Arc::new(AtomicU64::new(0));
+    let clock = Arc::clone(&now);
+    let memory = Arc::new(WorkingMemory::new(Arc::new(move || clock.load(Ordering::Relaxed))));
+    let mut follower = Follower::from_start(memory.clone(), Pattern::any()).await.unwrap();
+    for minute in 0..60_u64 {
+        now.store(minute * 61_000_000_000, Ordering::Relaxed);
+        for n in 0..1000 {
+            let id: EntityId = format!("S/p/e{minute}-{n}").parse().unwrap();
+            memory.commit_now(vec![Commit::new(id.clone(), 1, [])]).unwrap();
+            memory.commit_now(vec![Commit::removal(id, 2)]).unwrap();
+        }
+        let told = follower.drain(usize::MAX).await.unwrap();
+        assert_eq!(told.len(), 2000);
+    }
+    assert!(follower.remembered() <= 17_000, "{} of {}", follower.remembered(), memory.len());
+}

@@ -1,9 +1,13 @@
 //! A copy of the whole file while it is in use: of one moment, whatever is committed meanwhile.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use redb::{Database, Key, ReadTransaction, ReadableDatabase, ReadableTable, TableDefinition, Value};
+use redb::{
+    Builder, Database, Key, ReadTransaction, ReadableDatabase, ReadableTable, TableDefinition, Value,
+};
 
+use super::checked;
 use super::error::Fault;
 use super::{
     AGES, BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED, REMOVED,
@@ -34,7 +38,8 @@ impl LongTermMemory {
         let copied = self.with(|database| {
             // What is left of an earlier try.
             let _ = std::fs::remove_file(&unfinished).is_ok();
-            let to = Database::create(&unfinished).map_err(redb::Error::from)?;
+            let to =
+                checked::open(&unfinished, &Builder::new(), &Arc::default()).map_err(redb::Error::from)?;
             copy_all(&database.begin_read()?, &to)
         });
         let copied = copied.and_then(|()| {
@@ -61,7 +66,7 @@ fn copy_all(from: &ReadTransaction, to: &Database) -> Result<(), Fault> {
     copy(from, to, META)
 }
 
-fn copy<K: Key + 'static, V: Value + 'static>(
+pub(super) fn copy<K: Key + 'static, V: Value + 'static>(
     from: &ReadTransaction,
     to: &Database,
     table: TableDefinition<'_, K, V>,

@@ -3,10 +3,13 @@
 //! It is the [`Backing`] of a working memory: it writes the selected changes to disk before a commit is acknowledged.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound;
 use std::sync::Arc;
 
-use parking_lot::Mutex;
+use parking_lot::{Mutex, MutexGuard};
+use sha2::{Digest, Sha256};
 
+use super::record;
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::store::{Coding, LongTermMemory, StoreError};
@@ -88,10 +91,46 @@ impl Policies {
 /// disk.
 const GIVEN_AHEAD: u64 = 1024;
 
+/// Most entities that are remembered of which nothing is held back. The file has what is forgotten.
+const MAX_KNOWN: usize = 100_000;
+/// Entities that are looked at before a commit that waits comes in between.
+const PART: usize = 1000;
+
+/// What is known of the last stored snapshot of an entity.
+#[derive(Clone, Debug)]
+struct Kept {
+    version: u64,
+    referenced_ns: u64,
+    arrived_ns: u64,
+    is_removed: bool,
+    /// SHA-256 of the instances, where a policy compares them.
+    content: Option<[u8; 32]>,
+}
+
+impl Kept {
+    fn of(snapshot: &Snapshot, policy: &Policy) -> Self {
+        Self {
+            version: snapshot.version,
+            referenced_ns: snapshot.referenced_ns,
+            arrived_ns: snapshot.arrived_ns,
+            is_removed: snapshot.is_removed(),
+            content: (*policy == Policy::OnChange).then(|| content(snapshot)),
+        }
+    }
+}
+
+/// SHA-256 of the instances of a snapshot.
+fn content(snapshot: &Snapshot) -> [u8; 32] {
+    let (mut bytes, mut blobs) = (Vec::new(), Vec::new());
+    record::append_instances(&mut bytes, &snapshot.instances, &mut blobs);
+    Sha256::digest(&bytes).into()
+}
+
 /// The last stored snapshot of an entity, and a newer one that may still have to be stored.
 #[derive(Clone, Debug, Default)]
 struct LastStored {
-    kept: Option<Arc<Snapshot>>,
+    kept: Option<Kept>,
+    /// Working memory has it, too, so that this takes nothing.
     pending: Option<Arc<Snapshot>>,
     /// The last version that is noted as given on disk, and the last that was given.
     noted: u64,
@@ -101,7 +140,7 @@ struct LastStored {
 impl LastStored {
     /// Whether the last version is a removal that is stored.
     fn is_gone(&self) -> bool {
-        self.pending.is_none() && self.kept.as_ref().is_some_and(|kept| kept.is_removed())
+        self.pending.is_none() && self.kept.as_ref().is_some_and(|kept| kept.is_removed)
     }
 }
 
@@ -162,13 +201,17 @@ impl Consolidator {
             let known = changed.get(&snapshot.id).or_else(|| state.last.get(&snapshot.id)).cloned();
             let mut known = match known {
                 Some(known) => known,
-                None => LastStored { kept: self.store.newest(&snapshot.id)?, ..LastStored::default() },
+                None => {
+                    let newest = self.store.newest(&snapshot.id)?;
+                    let kept = newest.map(|newest| Kept::of(&newest, policy));
+                    LastStored { kept, ..LastStored::default() }
+                }
             };
             known.given = snapshot.version;
-            if policy.keeps(snapshot, known.kept.as_deref()) {
+            if policy.keeps(snapshot, known.kept.as_ref()) {
                 chosen.push(self.policies.as_kept(snapshot));
-                (known.kept, known.pending) = (Some(Arc::clone(snapshot)), None);
-            } else {
+                (known.kept, known.pending) = (Some(Kept::of(snapshot, policy)), None);
+            } else if matches!(policy, Policy::AtMost { .. }) {
                 known.pending = Some(Arc::clone(snapshot));
             }
             changed.insert(snapshot.id.clone(), known);
@@ -202,6 +245,9 @@ impl Consolidator {
                 false => drop(state.last.insert(id, last)),
             }
         }
+        if state.last.len() > MAX_KNOWN {
+            state.last.retain(|_, last| last.pending.is_some());
+        }
         Ok(chosen.len() as u64)
     }
 
@@ -211,7 +257,16 @@ impl Consolidator {
     /// # Errors
     /// As [`LongTermMemory::persist`]; then they are still held back.
     pub fn flush(&self) -> Result<u64, StoreError> {
-        self.flush_if(true, |_, _| true)
+        let flushed = self.flush_if(|_, _| true)?;
+        let mut state = self.state.lock();
+        let mut notes = Vec::new();
+        let ahead = state.last.iter().filter(|(_, last)| last.noted > last.given);
+        notes.extend(ahead.map(|(id, last)| (Some(id), last.given)));
+        notes.extend((state.noted > state.given).then_some((None, state.given)));
+        self.store.persist_with(&[], &notes)?;
+        state.last.values_mut().for_each(|last| last.noted = last.given);
+        state.noted = state.given;
+        Ok(flushed)
     }
 
     /// Stores the last snapshots that a rate has held back for as long as it asks, at the memory's time `now_ns`. To be
@@ -220,42 +275,38 @@ impl Consolidator {
     /// # Errors
     /// As [`Self::flush`].
     pub fn flush_due(&self, now_ns: u64) -> Result<u64, StoreError> {
-        self.flush_if(false, |hz, kept| {
+        self.flush_if(|hz, kept| {
             now_ns.saturating_sub(kept.map_or(0, |kept| kept.arrived_ns)) as f64 * 1e-9 * hz >= 1.0
         })
     }
 
-    fn flush_if(
-        &self,
-        at_end: bool,
-        is_due: impl Fn(f64, Option<&Snapshot>) -> bool,
-    ) -> Result<u64, StoreError> {
-        let mut state = self.state.lock();
+    fn flush_if(&self, is_due: impl Fn(f64, Option<&Kept>) -> bool) -> Result<u64, StoreError> {
         let is_held = |id: &EntityId, last: &LastStored| match self.policies.of(id.segment()) {
-            Policy::AtMost { hz } => last.pending.is_some() && is_due(*hz, last.kept.as_deref()),
+            Policy::AtMost { hz } => last.pending.is_some() && is_due(*hz, last.kept.as_ref()),
             _ => false,
         };
-        let held: Vec<_> = (state.last.iter().filter(|(id, last)| is_held(id, last)))
-            .filter_map(|(_, last)| last.pending.clone())
-            .collect();
-        let kept: Vec<_> = held.iter().map(|snapshot| self.policies.as_kept(snapshot)).collect();
-        let mut notes = Vec::new();
-        if at_end {
-            let ahead = state.last.iter().filter(|(_, last)| last.noted > last.given);
-            notes.extend(ahead.map(|(id, last)| (Some(id), last.given)));
-            notes.extend((state.noted > state.given).then_some((None, state.given)));
-        }
-        self.store.persist_with(&kept, &notes)?;
-        if at_end {
-            state.last.values_mut().for_each(|last| last.noted = last.given);
-            state.noted = state.given;
-        }
-        for snapshot in &held {
-            if let Some(last) = state.last.get_mut(&snapshot.id) {
-                (last.kept, last.pending) = (Some(Arc::clone(snapshot)), None);
+        let (mut flushed, mut after) = (0, Some(Bound::Unbounded));
+        while let Some(from) = after {
+            let mut state = self.state.lock();
+            let part = || state.last.range((from.clone(), Bound::Unbounded)).take(PART);
+            after = part().nth(PART - 1).map(|(id, _)| Bound::Excluded(id.clone()));
+            let held: Vec<_> = part()
+                .filter(|(id, last)| is_held(id, last))
+                .filter_map(|(_, last)| last.pending.clone())
+                .collect();
+            let kept: Vec<_> = held.iter().map(|snapshot| self.policies.as_kept(snapshot)).collect();
+            self.store.persist_with(&kept, &[])?;
+            for snapshot in &held {
+                if let Some(last) = state.last.get_mut(&snapshot.id) {
+                    let policy = self.policies.of(snapshot.id.segment());
+                    (last.kept, last.pending) = (Some(Kept::of(snapshot, policy)), None);
+                }
             }
+            flushed += held.len() as u64;
+            // A commit that waits comes in between.
+            MutexGuard::unlock_fair(state);
         }
-        Ok(held.len() as u64)
+        Ok(flushed)
     }
 }
 
@@ -273,11 +324,11 @@ impl Policy {
         matches!(self, Self::Everything | Self::Named(_))
     }
 
-    fn keeps(&self, snapshot: &Snapshot, kept: Option<&Snapshot>) -> bool {
+    fn keeps(&self, snapshot: &Snapshot, kept: Option<&Kept>) -> bool {
         let Some(kept) = kept else { return !matches!(self, Self::Nothing) };
         match self {
             Self::Nothing | Self::Everything | Self::Named(_) => self.keeps_all(),
-            Self::OnChange => kept.instances != snapshot.instances,
+            Self::OnChange => kept.content != Some(content(snapshot)),
             // A removal is never held back. When the clock has gone back, counting starts again.
             Self::AtMost { hz } => {
                 let passed = snapshot.referenced_ns.checked_sub(kept.referenced_ns);

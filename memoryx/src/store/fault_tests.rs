@@ -1,4 +1,4 @@
-//! Long-term memory on failing media: a crash at every write, a full disk, truncated and corrupted files, kill -9.
+//! Long-term memory on failing media: a crash at every write, a full disk, kill -9.
 
 use std::io;
 use std::io::BufRead;
@@ -11,6 +11,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use redb::StorageBackend;
 
+use super::checked::{self, CheckedFile};
+use super::damage_tests::file_with;
 use super::tests::snapshot;
 use super::*;
 
@@ -33,6 +35,10 @@ struct Disk {
     left: Option<u64>,
     /// Whether the changes after that report a full disk.
     full: bool,
+    /// How often the power was off.
+    boot: u8,
+    /// How often all of it was read when it was opened.
+    repairs: u64,
 }
 
 impl Disk {
@@ -52,7 +58,14 @@ impl Disk {
 impl Medium {
     fn store(&self) -> Result<LongTermMemory, StoreError> {
         let medium = self.clone();
-        let opener: Opener = Box::new(move || redb::Builder::new().create_with_backend(medium.clone()));
+        let opener: Opener = Box::new(move |salvages| {
+            let boot = [medium.0.lock().boot; 16];
+            let file = CheckedFile::new(medium.clone(), Some(boot), Arc::clone(salvages));
+            let repaired = medium.clone();
+            let mut builder = redb::Builder::new();
+            builder.set_repair_callback(move |_| repaired.0.lock().repairs += 1);
+            builder.create_with_backend(file)
+        });
         LongTermMemory::open_with("medium".into(), None, opener, false)
     }
 
@@ -77,7 +90,7 @@ impl Medium {
             }
             bytes[start..end].copy_from_slice(&data[..written]);
         }
-        *disk = Disk { seen: bytes.clone(), synced: bytes, ..Disk::default() };
+        *disk = Disk { seen: bytes.clone(), synced: bytes, boot: disk.boot + 1, ..Disk::default() };
     }
 }
 
@@ -155,8 +168,34 @@ fn a_crash_at_any_write_loses_nothing_acknowledged() {
         let acknowledged = keep_until_failure(&medium, 5, 14);
         medium.recover(&mut random);
         check_kept(&medium, acknowledged);
+        assert!(
+            acknowledged == 14 || changes < 5 || medium.0.lock().repairs > 0,
+            "what was not synced may be missing"
+        );
         if acknowledged == 14 {
             assert!(changes > 50, "ten commits are more than {changes} writes");
+            break;
+        }
+    }
+}
+
+/// A process that is killed leaves all that it has written, in order, also what was not synced.
+#[test]
+fn a_kill_at_any_write_loses_nothing_acknowledged_and_the_file_opens_at_once() {
+    for changes in 0.. {
+        let medium = Medium::default();
+        medium.store().unwrap().persist(&[snapshot("Many/p/e", 1, 1, 1)]).unwrap();
+        medium.fail_after(Some(changes), false);
+        // The store fails when it is closed, too.
+        let acknowledged = keep_until_failure(&medium, 1, 5);
+        medium.fail_after(None, false);
+        let store = medium.store().unwrap();
+        assert_eq!(medium.0.lock().repairs, 0, "nothing is read after {changes} writes");
+        let kept = store.query(&Query::history(Pattern::segment("S"))).unwrap().len() as u64;
+        assert!(kept == acknowledged || kept == acknowledged + 1, "{kept} after {acknowledged}");
+        assert!(store.verify().unwrap().is_intact());
+        if acknowledged == 5 {
+            assert!(changes > 20, "five commits are more than {changes} writes");
             break;
         }
     }
@@ -309,13 +348,16 @@ fn padded(id: &str, version: u64, arrived_ns: u64) -> Arc<Snapshot> {
     Arc::new(Snapshot { arrived_ns, instances, ..(*snapshot(id, version, version, 0)).clone() })
 }
 
-/// Names that come and go for an hour, 10 000 a minute: file and entities stay small. What cannot be kept small is said.
+/// What the file may have in the next test.
+const MEGABYTES: u64 = 16;
+
+/// Names that come and go for an hour, 10 000 a minute: the file stays within its limit. What cannot be kept within it is said.
 #[test]
 fn names_that_come_and_go_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("names.redb");
     let store = LongTermMemory::open(&path).unwrap();
-    let retention = Retention { age_ns: Some(1000), bytes: Some(4_000_000) };
+    let retention = Retention { age_ns: Some(1000), bytes: Some(MEGABYTES * 1_000_000) };
     let mut most = StoreStats { entities: 0, snapshots: 0, bytes: 0, file_bytes: 0 };
     for minute in 0..60 {
         for part in 0..10 {
@@ -331,13 +373,12 @@ fn names_that_come_and_go_leave_nothing() {
             });
             store.persist(&born.chain(gone).collect::<Vec<_>>()).unwrap();
         }
-        let dropped = store.retain(retention, minute + 2).unwrap();
-        assert_eq!(dropped.over, 0);
+        let dropped = store.keep_within(retention, minute + 2).unwrap();
+        assert_eq!(dropped.over, 0, "after {minute} minutes");
         let stats = store.stats().unwrap();
         most = if stats.file_bytes > most.file_bytes { stats } else { most };
     }
-    assert!(most.entities < 60_000 && most.bytes <= 4_000_000, "{most:?}");
-    assert!(most.file_bytes < 40_000_000, "{most:?}");
+    assert!(most.entities < 120_000 && most.file_bytes <= MEGABYTES * 1_000_000, "{most:?}");
     assert!(store.verify().unwrap().is_intact());
     let dropped = store.retain(Retention { age_ns: Some(0), bytes: Some(0) }, u64::MAX).unwrap();
     assert_eq!((dropped.over, store.stats().unwrap().entities), (0, 0), "{dropped:?}");
@@ -387,7 +428,7 @@ fn acknowledged_versions_are_never_given_again() {
 fn a_file_of_the_earlier_format_is_opened() {
     let folder = tempfile::tempdir().unwrap();
     let path = file_with(folder.path(), "old.redb", 3);
-    let old = Database::create(&path).unwrap();
+    let old = checked::open(&path, &redb::Builder::new(), &Arc::default()).unwrap();
     let write = old.begin_write().unwrap();
     write.delete_table(GIVEN).unwrap();
     write.delete_table(AGES).unwrap();
@@ -399,123 +440,6 @@ fn a_file_of_the_earlier_format_is_opened() {
     let store = LongTermMemory::open(&path).unwrap();
     assert_eq!(store.last_version(&"S/p/e".parse().unwrap()), Ok(3));
     assert!(store.verify().unwrap().is_intact());
-}
-
-fn file_with(folder: &Path, name: &str, snapshots: u64) -> std::path::PathBuf {
-    let path = folder.join(name);
-    let store = LongTermMemory::open(&path).unwrap();
-    let all: Vec<_> = (1..=snapshots).map(|v| snapshot("S/p/e", v, v, v as i64)).collect();
-    store.persist(&all).unwrap();
-    path
-}
-
-#[test]
-fn a_cut_file_is_an_error() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "whole.redb", 500);
-    let bytes = std::fs::read(&path).unwrap();
-    for part in [1, 10, 100, 511, 512, 4095, 4096, 5000, bytes.len() / 2, bytes.len() - 4096, bytes.len() - 1]
-    {
-        let cut = folder.path().join("cut.redb");
-        std::fs::write(&cut, &bytes[..part]).unwrap();
-        let found = LongTermMemory::open(&cut).and_then(|store| store.verify());
-        match found {
-            Err(StoreError::NotAStore { .. } | StoreError::Damaged { .. } | StoreError::Failed { .. }) => {}
-            Ok(verification) if !verification.is_intact() => {}
-            other => panic!("a file cut to {part} of {} bytes gave {other:?}", bytes.len()),
-        }
-    }
-}
-
-/// Export writes the intact snapshots of a damaged file, and reports that others are missing.
-#[test]
-fn what_is_intact_is_exported_past_what_is_damaged() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "whole.redb", 500);
-    let mut whole = Vec::new();
-    let count = LongTermMemory::open(&path).unwrap().export(&Pattern::any(), &mut whole).unwrap();
-    let mut bytes = std::fs::read(&path).unwrap();
-    // The damage is in the content of a record in the middle: the record's checksum detects it.
-    let name = b"value";
-    let places: Vec<_> =
-        bytes.windows(name.len()).enumerate().filter(|(_, w)| w == name).map(|(i, _)| i).collect();
-    bytes[places[places.len() / 2]] ^= 1;
-    std::fs::write(&path, &bytes).unwrap();
-    let store = LongTermMemory::open(&path).unwrap();
-    let mut rest = Vec::new();
-    let error = store.export(&Pattern::any(), &mut rest).unwrap_err();
-    assert!(matches!(&error, StoreError::Damaged { what, .. } if what.contains("were written")), "{error}");
-    let lines = |text: &[u8]| text.iter().filter(|byte| **byte == b'\n').count() as u64;
-    assert_eq!((lines(&whole), lines(&rest)), (count, count - 1));
-    let memory = WorkingMemory::new(Arc::new(|| 1));
-    let before = std::fs::read(&path).unwrap();
-    assert!(crate::maintain::carry_out(crate::wire::Maintain::Compact, Some(&store), &memory).is_err());
-    drop(store);
-    assert_eq!(before.len(), std::fs::read(&path).unwrap().len());
-}
-
-#[test]
-fn a_flipped_bit_is_found_or_harmless() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "whole.redb", 200);
-    let bytes = std::fs::read(&path).unwrap();
-    let expected = LongTermMemory::open(&path).unwrap().query(&Query::history(Pattern::any())).unwrap();
-    let mut random = ChaCha8Rng::seed_from_u64(1);
-    let mut found = 0;
-    for _ in 0..150 {
-        let mut flipped = bytes.clone();
-        let at = random.random_range(0..flipped.len());
-        flipped[at] ^= 1 << random.random_range(0..8);
-        let file = folder.path().join("flipped.redb");
-        std::fs::write(&file, &flipped).unwrap();
-        let verified = LongTermMemory::open(&file).and_then(|store| {
-            let verified = store.verify()?;
-            Ok((verified, store.query(&Query::history(Pattern::any()))))
-        });
-        match verified {
-            // Free space, or a part that redb holds twice: then nothing is lost.
-            Ok((verified, kept)) if verified.is_intact() => {
-                assert_eq!(kept.unwrap(), expected, "bit at {at}")
-            }
-            _ => found += 1,
-        }
-    }
-    assert!(found > 0);
-}
-
-#[test]
-fn other_files_are_refused_and_left_alone() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("text.redb");
-    std::fs::write(&path, "name: value\n".repeat(1000)).unwrap();
-    assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
-    assert_eq!(std::fs::read_to_string(&path).unwrap(), "name: value\n".repeat(1000));
-
-    let empty = folder.path().join("empty.redb");
-    std::fs::write(&empty, "").unwrap();
-    assert!(matches!(LongTermMemory::open(&empty), Err(StoreError::NotAStore { .. })));
-    assert_eq!(std::fs::metadata(&empty).unwrap().len(), 0);
-
-    let path = folder.path().join("other.redb");
-    let other = Database::create(&path).unwrap();
-    let write = other.begin_write().unwrap();
-    write.open_table(TableDefinition::<u64, u64>::new("something")).unwrap();
-    write.commit().unwrap();
-    drop(other);
-    assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
-
-    for other_format in [1, 4] {
-        let path = folder.path().join(format!("format{other_format}.redb"));
-        drop(LongTermMemory::open(&path).unwrap());
-        let newer = Database::create(&path).unwrap();
-        let write = newer.begin_write().unwrap();
-        write.open_table(META).unwrap().insert("format", other_format).unwrap();
-        write.commit().unwrap();
-        drop(newer);
-        let path_text = path.display().to_string();
-        let error = StoreError::Format { path: path_text, found: other_format, supported: FORMAT };
-        assert_eq!(LongTermMemory::open(&path).unwrap_err(), error);
-    }
 }
 
 /// The variable that turns [`the_process_that_is_killed`] into the child process.

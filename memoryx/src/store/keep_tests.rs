@@ -300,3 +300,76 @@ fn a_memory_without_a_file_counts_what_it_holds_and_says_what_it_lacks() {
     let refused = crate::maintain::carry_out(crate::wire::Maintain::Compact, None, &memory).unwrap_err();
     assert!(refused.to_string().contains("--store"), "{refused}");
 }
+
+/// Commits beside a compaction are in the new file; named snapshots, removals and versions that were given are, too.
+#[test]
+fn commits_beside_a_compaction_are_in_the_new_file() {
+    let (_folder, path, store) = store();
+    let store = Arc::new(store);
+    let memory = WorkingMemory::new(Arc::new(|| 7)).with_backing(Arc::<LongTermMemory>::clone(&store));
+    let commit = |name: &str, value: i64| {
+        let update = Commit::new(format!("S/p/{name}").parse().unwrap(), 1, [("value", Value::Int(value))]);
+        memory.commit_now(vec![update]).unwrap()[0]
+    };
+    (0..3000).for_each(|n| assert!(commit(&format!("e{}", n % 500), n) > 0));
+    memory.commit_now(vec![Commit::removal("S/p/e7".parse().unwrap(), 1)]).unwrap();
+    store.save_named("morning", &memory).unwrap();
+    let ended = std::sync::atomic::AtomicBool::new(false);
+    let beside = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            for _ in 0..3 {
+                assert_eq!(store.compact(), Ok(true));
+            }
+            ended.store(true, std::sync::atomic::Ordering::Release);
+        });
+        let mut last = 0;
+        while !ended.load(std::sync::atomic::Ordering::Acquire) {
+            last = commit("beside", last as i64);
+        }
+        last
+    });
+    assert!(beside > 3, "{beside} commits");
+    let held = memory.query_now(&Query::latest(Pattern::any())).unwrap();
+    drop(memory);
+    drop(store);
+    let store = LongTermMemory::open(&path).unwrap();
+    assert_eq!(store.query(&Query::latest(Pattern::any())).unwrap(), held);
+    assert_eq!(store.last_given(&"S/p/beside".parse().unwrap()), Ok(beside));
+    assert_eq!(store.query(&Query::history(Pattern::any())).unwrap().len() as u64, 3001 + beside);
+    assert_eq!(store.named("morning").unwrap().len(), 499);
+    assert!(store.verify().unwrap().is_intact());
+    assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1, "nothing is left beside it");
+}
+
+/// While entities are still being read, everything answers and counts as if they were there.
+#[test]
+fn what_was_not_read_yet_is_looked_up() {
+    let (_folder, _, store) = store();
+    let many: Vec<_> =
+        (1..=3).flat_map(|v| [snapshot("S/p/a", v, v, 1), snapshot("S/p/b", v, v, 1)]).collect();
+    store.persist(&many).unwrap();
+    let removal = Snapshot { instances: Vec::new(), ..(*snapshot("S/p/gone", 2, 2, 1)).clone() };
+    store.persist(&[snapshot("S/p/gone", 1, 1, 1), Arc::new(removal)]).unwrap();
+    let store = Arc::new(store);
+    let memory = WorkingMemory::new(Arc::new(|| 7)).with_backing(Arc::<LongTermMemory>::clone(&store));
+    memory.set_partial(true);
+    let id = |name: &str| -> EntityId { format!("S/p/{name}").parse().unwrap() };
+    assert_eq!(memory.latest_now(&id("a")).unwrap().version, 3);
+    assert!(memory.latest_now(&id("gone")).is_err() && memory.latest_now(&id("new")).is_err());
+    let newest = |memory: &WorkingMemory| {
+        let found = memory.query_now(&Query::latest(Pattern::any())).unwrap();
+        found.iter().map(|s| format!("{} {}", s.id, s.version)).collect::<Vec<_>>().join(", ")
+    };
+    assert_eq!(newest(&memory), "S/p/a 3, S/p/b 3");
+    let commit =
+        |name: &str, expected: u64| memory.commit_now(vec![Commit::new(id(name), 9, []).expecting(expected)]);
+    assert!(commit("a", 0).is_err() && commit("a", 2).is_err());
+    assert_eq!(commit("a", 3), Ok(vec![4]));
+    assert_eq!(commit("gone", 0), Ok(vec![3]));
+    assert_eq!(newest(&memory), "S/p/a 4, S/p/b 3, S/p/gone 3");
+    let mut told = memory.changes(&Pattern::any());
+    assert_eq!(store.load_into(&memory, Pattern::any()), Ok(1), "only `b` was missing");
+    memory.set_partial(false);
+    assert_eq!(newest(&memory), "S/p/a 4, S/p/b 3, S/p/gone 3");
+    assert!(told.try_recv().is_err(), "what was read is no change");
+}

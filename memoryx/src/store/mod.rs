@@ -6,7 +6,7 @@
 //!
 //! # The file, format 3
 //!
-//! A redb file of file format 3. Snapshots are stored in chunks, in the order of arrival; an index finds them by
+//! A redb database of file format 3, in a file whose blocks have checksums (`checked.rs`). Snapshots are stored in chunks, in the order of arrival; an index finds them by
 //! entity and version. So storing a group costs little more than writing its bytes, and reading everything means
 //! reading the chunks.
 //!
@@ -45,7 +45,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
 use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
@@ -56,7 +56,9 @@ use crate::query::{Cursor, Pattern, Query};
 use crate::working::{Archive, Backing, WorkingMemory};
 
 mod backup;
+mod checked;
 mod coding;
+mod compact;
 mod consolidate;
 mod error;
 mod exchange;
@@ -68,6 +70,8 @@ mod retain;
 mod verify;
 mod write;
 
+#[cfg(test)]
+mod damage_tests;
 #[cfg(test)]
 mod fault_tests;
 #[cfg(test)]
@@ -92,7 +96,7 @@ const FORMAT: u64 = 3;
 /// The earlier format, which lacks the tables `ages`, `kept`, `removed` and `given`.
 const EARLIER_FORMAT: u64 = 2;
 /// Snapshots that are loaded together, and about how many bytes of them.
-const PAGE_SIZE: usize = 8192;
+const PAGE_SIZE: usize = 1024;
 const MAX_PAGE_BYTES: u64 = 16 << 20;
 /// redb's cache, bytes.
 const CACHE_BYTES: usize = 32 << 20;
@@ -128,7 +132,8 @@ pub struct StoreStats {
     pub file_bytes: u64,
 }
 
-type Opener = Box<dyn Fn() -> Result<Database, redb::DatabaseError> + Send + Sync>;
+/// Opens the database; while the flag is set, damaged blocks are read nevertheless.
+type Opener = Box<dyn Fn(&Arc<AtomicBool>) -> Result<Database, redb::DatabaseError> + Send + Sync>;
 
 /// The long-term memory of an agent.
 pub struct LongTermMemory {
@@ -136,11 +141,17 @@ pub struct LongTermMemory {
     name: String,
     opener: Opener,
     /// `None` after a failure: the next use opens the file again, which restores the last commit.
-    database: RwLock<Option<Database>>,
+    database: RwLock<Option<Arc<Database>>>,
     /// Cached facts about entities; locked by the writer.
     memo: Mutex<EntityCache>,
     /// Whether the file is open only while it is used.
     shared: bool,
+    /// Held by what changes more than a commit: retention, compaction, named snapshots.
+    upkeep: Mutex<()>,
+    /// What is stored while the file is copied; locked by the writer.
+    journal: Mutex<Option<compact::Journal>>,
+    /// Whether damaged blocks are read nevertheless.
+    salvages: Arc<AtomicBool>,
 }
 
 impl LongTermMemory {
@@ -195,7 +206,9 @@ impl LongTermMemory {
 
     fn open_file(name: String, file: PathBuf, shared: bool) -> Result<Self, StoreError> {
         let opened = file.clone();
-        let opener = Box::new(move || redb::Builder::new().set_cache_size(CACHE_BYTES).create(&opened));
+        let opener = Box::new(move |salvages: &Arc<AtomicBool>| {
+            checked::open(&opened, redb::Builder::new().set_cache_size(CACHE_BYTES), salvages)
+        });
         Self::open_with(name, Some(file), opener, shared)
     }
 
@@ -205,8 +218,22 @@ impl LongTermMemory {
         opener: Opener,
         shared: bool,
     ) -> Result<Self, StoreError> {
-        let store = Self { path, name, opener, database: RwLock::new(None), memo: Mutex::default(), shared };
-        store.reopen()?;
+        let store = Self {
+            path,
+            name,
+            opener,
+            database: RwLock::new(None),
+            memo: Mutex::default(),
+            shared,
+            upkeep: Mutex::default(),
+            journal: Mutex::default(),
+            salvages: Arc::default(),
+        };
+        match store.reopen() {
+            // Whoever reads what is damaged learns that; the rest can be exported.
+            Err(StoreError::Damaged { .. }) if store.salvage(|| store.reopen()).is_ok() => {}
+            opened => drop(opened?),
+        }
         store.release();
         Ok(store)
     }
@@ -227,10 +254,20 @@ impl LongTermMemory {
     /// # Errors
     /// [`MemoryError::Store`] when they cannot be read.
     pub fn load_into(&self, memory: &WorkingMemory, pattern: Pattern) -> Result<usize, MemoryError> {
+        self.load_while(memory, pattern, &|| true)
+    }
+
+    /// As [`Self::load_into`], as long as `goes_on` is true.
+    pub(crate) fn load_while(
+        &self,
+        memory: &WorkingMemory,
+        pattern: Pattern,
+        goes_on: &dyn Fn() -> bool,
+    ) -> Result<usize, MemoryError> {
         let (mut restored, mut refused) = (0, None);
         let mut query =
             Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
-        loop {
+        while goes_on() {
             let found = self.query(&query)?;
             let Some(last) = found.last().map(|s| Cursor::after(s)) else {
                 break;
@@ -269,17 +306,6 @@ impl LongTermMemory {
                 file_bytes,
             })
         })
-    }
-
-    /// Joins small chunks and returns free space to the file system. Returns whether the file has changed. Waits
-    /// until it has the database for itself.
-    ///
-    /// # Errors
-    /// When the disk fails; nothing is lost then.
-    pub fn compact(&self) -> Result<bool, StoreError> {
-        let joined = self.join_chunks()?;
-        let freed = self.with_alone(|database| Ok(database.compact()?))?;
-        Ok(joined || freed)
     }
 }
 

@@ -13,6 +13,9 @@ use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
 use crate::working::WorkingMemory;
 
+/// Entities that are looked at in one transaction, so that no commit waits long.
+const PART: usize = 500;
+
 /// The list entry of a named snapshot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NamedSnapshot {
@@ -62,32 +65,56 @@ impl LongTermMemory {
     /// [`StoreError::Name`] for an invalid name; as [`Self::persist`].
     pub fn save_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, StoreError> {
         check_name(name).map_err(|_| StoreError::Name { name: short(name) })?;
+        let _alone = self.upkeep.lock();
         let held = memory
             .query_now(&Query::latest(Pattern::any()))
             .map_err(|e| StoreError::Query { what: e.to_string() })?;
-        let taken_ns = memory.now_ns();
-        // The list is written after its content: a crash in between leaves the older list.
-        self.write(|writer, memo| {
-            let mut new = false;
-            for snapshot in &held {
-                // A snapshot that is already stored may be encoded, and stays so.
-                if !writer.holds(&snapshot.id, snapshot.version, memo)? {
-                    new |= writer.add(snapshot, memo, false)?;
+        let mut list = memory.now_ns().to_le_bytes().to_vec();
+        for part in held.chunks(PART) {
+            self.write(|writer, memo| {
+                let mut new = false;
+                for snapshot in part {
+                    // A snapshot that is already stored may be encoded, and stays so.
+                    if !writer.holds(&snapshot.id, snapshot.version, memo)? {
+                        new |= writer.add(snapshot, memo, false)?;
+                    }
                 }
-            }
-            Ok(((), new))
-        })?;
-        self.write(|writer, memo| {
-            let mut list = taken_ns.to_le_bytes().to_vec();
+                Ok(((), new))
+            })?;
+        }
+        self.read(|reader| {
             for snapshot in &held {
-                list.extend_from_slice(&writer.number(&snapshot.id, memo)?.to_le_bytes());
+                let number = reader.entity(&snapshot.id)?.map_or(0, |entity| entity.number);
+                list.extend_from_slice(&number.to_le_bytes());
                 list.extend_from_slice(&snapshot.version.to_le_bytes());
             }
-            let before = writer.name(name, Some(&list))?;
-            writer.unpin(entries(&before.unwrap_or_default()))?;
-            Ok(((), true))
+            Ok(())
         })?;
+        // The list is written after its content: a crash in between leaves the older list.
+        self.replace_list(name, Some(&list))?;
         Ok(held.len())
+    }
+
+    /// Stores a list under a name, or removes it. Returns whether there was one.
+    fn replace_list(&self, name: &str, list: Option<&[u8]>) -> Result<bool, StoreError> {
+        let before = self.list(name)?;
+        let pinned: Vec<_> = entries(before.as_deref().unwrap_or_default()).collect();
+        self.write(|writer, _| {
+            writer.name(name, list)?;
+            Ok(((), list.is_some() || before.is_some()))
+        })?;
+        for part in pinned.chunks(PART) {
+            self.write(|writer, _| writer.unpin(part).map(|any| ((), any)))?;
+        }
+        Ok(before.is_some())
+    }
+
+    fn list(&self, name: &str) -> Result<Option<Vec<u8>>, StoreError> {
+        self.with(|database| {
+            let transaction = database.begin_read()?;
+            let table = transaction.open_table(NAMED)?;
+            Ok(table.get(name)?.map(|v| v.value().to_vec()))
+        })
     }
 
     /// The content of a named snapshot, ordered by address.
@@ -95,12 +122,7 @@ impl LongTermMemory {
     /// # Errors
     /// [`StoreError::NoSuchName`]; [`StoreError::Damaged`] and others when it cannot be read.
     pub fn named(&self, name: &str) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        let list = self.with(|database| {
-            let transaction = database.begin_read()?;
-            let table = transaction.open_table(NAMED)?;
-            Ok(table.get(name)?.map(|v| v.value().to_vec()))
-        })?;
-        let list = list.ok_or_else(|| no_such(name))?;
+        let list = self.list(name)?.ok_or_else(|| no_such(name))?;
         self.read(|reader| {
             let ids = reader.addresses()?;
             let missing = || Fault::Damaged(format!("the snapshot `{name}` names what is not there"));
@@ -195,12 +217,8 @@ impl LongTermMemory {
     /// # Errors
     /// [`StoreError::NoSuchName`]; when the disk fails.
     pub fn forget_named(&self, name: &str) -> Result<(), StoreError> {
-        let was = self.write(|writer, _| {
-            let list = writer.name(name, None)?;
-            let was = list.is_some();
-            writer.unpin(entries(&list.unwrap_or_default()))?;
-            Ok((was, was))
-        })?;
+        let _alone = self.upkeep.lock();
+        let was = self.replace_list(name, None)?;
         if was { Ok(()) } else { Err(no_such(name)) }
     }
 

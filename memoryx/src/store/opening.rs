@@ -2,10 +2,13 @@
 //! database comes back only by opening the file again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use redb::{Database, ReadableDatabase, ReadableTable};
 
+use super::checked::Spoiled;
 use super::error::Fault;
 use super::{
     AGES, BLOB_USES, BLOBS, CHUNKS, EARLIER_FORMAT, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory,
@@ -16,41 +19,30 @@ use super::{
 const PAUSE: Duration = Duration::from_millis(5);
 
 impl LongTermMemory {
-    /// Uses the database with shared access; opens it again first if it has failed.
+    /// Uses the database; opens it again first if it has failed.
     pub(super) fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, Fault>) -> Result<T, StoreError> {
-        let open = self.database.read();
-        let open = if open.is_some() {
-            open
-        } else {
-            drop(open);
-            self.reopen()?;
-            self.database.read()
+        let open = self.database.read().clone();
+        let open = match open {
+            Some(open) => open,
+            None => self.reopen()?,
         };
-        let Some(database) = open.as_ref() else {
-            return Err(self.failed("it has just failed in another place"));
-        };
-        let result = self.contained(|| act(database));
-        drop(open);
+        let result = self.contained(|| act(&open));
+        self.closed(Some(open));
         self.close_after(&result);
         self.release();
         result
     }
 
-    /// Uses the database with exclusive access.
-    pub(super) fn with_alone<T>(
-        &self,
-        act: impl FnOnce(&mut Database) -> Result<T, Fault>,
-    ) -> Result<T, StoreError> {
-        self.reopen()?;
-        let mut open = self.database.write();
-        let Some(database) = open.as_mut() else {
-            return Err(self.failed("it has just failed in another place"));
-        };
-        let result = self.contained(|| act(database));
-        drop(open);
-        self.close_after(&result);
-        self.release();
-        result
+    /// Reads a damaged file as far as that is possible: blocks are read whether they are as they were written or not. Nobody
+    /// writes meanwhile.
+    pub(super) fn salvage<T>(&self, act: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
+        let _unwritten = self.memo.lock();
+        self.close();
+        self.salvages.store(true, Ordering::Release);
+        let salvaged = act();
+        self.close();
+        self.salvages.store(false, Ordering::Release);
+        salvaged
     }
 
     /// Closes a shared file that nobody in this process uses any more.
@@ -58,9 +50,11 @@ impl LongTermMemory {
         if !self.shared {
             return;
         }
+        let mut open = self.database.write();
         // Whoever still uses it closes it later.
-        let Some(mut open) = self.database.try_write() else { return };
-        self.closed(open.take());
+        if open.as_ref().is_some_and(|open| Arc::strong_count(open) == 1) {
+            self.closed(open.take());
+        }
     }
 
     /// Drops the database after a failure, so that the next use opens the file again.
@@ -71,13 +65,13 @@ impl LongTermMemory {
         }
     }
 
-    /// Closes the file. This writes too, and so it can fail; acknowledged data do not depend on it.
+    /// Closes the file as soon as nobody uses it. This writes too, and so it can fail; acknowledged data do not depend on it.
     pub(super) fn close(&self) {
         let mut open = self.database.write();
         self.closed(open.take());
     }
 
-    fn closed(&self, closing: Option<Database>) {
+    pub(super) fn closed(&self, closing: Option<Arc<Database>>) {
         let closed = self.contained(|| {
             drop(closing);
             Ok(())
@@ -87,16 +81,18 @@ impl LongTermMemory {
         }
     }
 
-    pub(super) fn reopen(&self) -> Result<(), StoreError> {
+    pub(super) fn reopen(&self) -> Result<Arc<Database>, StoreError> {
         let mut open = self.database.write();
-        if open.is_none() {
-            *open = Some(self.contained(|| {
-                let database = self.opened().map_err(|e| self.opening(e))?;
-                self.check_format(&database)?;
-                Ok(database)
-            })?);
+        if let Some(open) = &*open {
+            return Ok(Arc::clone(open));
         }
-        Ok(())
+        let database = self.contained(|| {
+            let database = self.opened().map_err(|e| self.opening(e))?;
+            self.check_format(&database)?;
+            Ok(Arc::new(database))
+        })?;
+        *open = Some(Arc::clone(&database));
+        Ok(database)
     }
 
     /// Opens the file; waits for another process that has it open.
@@ -107,7 +103,7 @@ impl LongTermMemory {
     fn opened(&self) -> Result<Database, redb::DatabaseError> {
         let mut left = if self.shared { SHARED_WAIT } else { WAIT };
         loop {
-            match (self.opener)() {
+            match (self.opener)(&self.salvages) {
                 Err(redb::DatabaseError::DatabaseAlreadyOpen) if !left.is_zero() => {
                     std::thread::sleep(PAUSE);
                     left = left.saturating_sub(PAUSE);
@@ -152,7 +148,7 @@ impl LongTermMemory {
     }
 
     /// Turns panics into errors: redb panics on some damaged files.
-    fn contained<T>(&self, act: impl FnOnce() -> Result<T, Fault>) -> Result<T, StoreError> {
+    pub(super) fn contained<T>(&self, act: impl FnOnce() -> Result<T, Fault>) -> Result<T, StoreError> {
         let result = catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
             let what = panic.downcast_ref::<String>().map(String::as_str);
             let what = what.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
@@ -178,7 +174,7 @@ impl LongTermMemory {
                 StoreError::NotAStore { path, what: format!("it is of redb's old file format {format}") }
             }
             redb::DatabaseError::Storage(redb::StorageError::Io(e))
-                if e.kind() == std::io::ErrorKind::InvalidData =>
+                if e.kind() == std::io::ErrorKind::InvalidData && !is_spoiled(&e) =>
             {
                 StoreError::NotAStore { path, what: e.to_string() }
             }
@@ -200,10 +196,16 @@ impl LongTermMemory {
             Fault::Redb(redb::Error::Io(e)) if e.kind() == std::io::ErrorKind::StorageFull => {
                 StoreError::Full { path }
             }
+            Fault::Redb(redb::Error::Io(e)) if is_spoiled(&e) => self.damaged(e.to_string()),
             Fault::Redb(redb::Error::DatabaseAlreadyOpen) => StoreError::Locked { path },
             Fault::Redb(error) => StoreError::Failed { path, what: error.to_string() },
         }
     }
+}
+
+/// Whether a checksum has shown damage.
+fn is_spoiled(error: &std::io::Error) -> bool {
+    error.get_ref().is_some_and(|inner| inner.is::<Spoiled>())
 }
 
 /// Adds what a file of the earlier format lacks.

@@ -326,6 +326,10 @@ impl LongTermMemory {
             let mut answer = asked.answer(&|| true);
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
                 if asked.wants(&entity.id) {
+                    if asked.clock.is_some() {
+                        let newest = reader.newest(entity.number)?;
+                        answer.note_clock(&entity.id, || newest.map(|(_, row)| row.3));
+                    }
                     reader.select(&asked, &entity, &mut answer)?;
                 }
                 Ok(!answer.is_full())
@@ -392,36 +396,13 @@ impl LongTermMemory {
         &self,
         mut act: impl FnMut(Result<Snapshot, RecordError>) -> bool,
     ) -> Result<(), StoreError> {
-        self.read(|reader| {
-            let ids = reader.addresses()?;
-            let rows = reader.chunks.iter()?;
-            for row in rows {
-                let (number, chunk) = row?;
-                let mut rest = chunk.value();
-                while !rest.is_empty() {
-                    let offset = chunk.value().len() - rest.len();
-                    let (snapshot, length) = match record::head(rest) {
-                        Ok(head) if reader.is_forgotten(number.value(), offset, head)? => {
-                            rest = &rest[head.length..];
-                            continue;
-                        }
-                        Ok(head) => {
-                            let id = ids.get(&head.number);
-                            let id = id.ok_or(RecordError::NoAddress { number: head.number });
-                            let blobs = |hash: &_| reader.blob(hash);
-                            (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
-                        }
-                        // If the record's length is damaged too, the following records of its chunk cannot be found.
-                        Err(what) => (Err(what), record::length(rest).unwrap_or(rest.len())),
-                    };
-                    if !act(snapshot) {
-                        return Ok(());
-                    }
-                    rest = &rest[length..];
-                }
+        let mut from = (0, 0);
+        match self.read(|reader| reader.scan(&mut from, &mut act)) {
+            Err(StoreError::Damaged { .. }) => {
+                self.salvage(|| self.read(|reader| reader.scan(&mut from, &mut act)))
             }
-            Ok(())
-        })
+            scanned => scanned,
+        }
     }
 
     /// The last version that an entity may have been given; 0 when it has none.
@@ -490,6 +471,45 @@ impl LongTermMemory {
 }
 
 impl Reader {
+    /// Passes every record to `act`, or a description of the damaged place, from a chunk and an offset in it, which are moved on.
+    fn scan(
+        &self,
+        from: &mut (u64, usize),
+        act: &mut impl FnMut(Result<Snapshot, RecordError>) -> bool,
+    ) -> Result<(), Fault> {
+        let ids = self.addresses()?;
+        for row in self.chunks.range(from.0..)? {
+            let (number, chunk) = row?;
+            if number.value() != from.0 {
+                *from = (number.value(), 0);
+            }
+            while let Some(rest) = chunk.value().get(from.1..).filter(|rest| !rest.is_empty()) {
+                let (snapshot, length) = match record::head(rest) {
+                    Ok(head) if self.is_forgotten(from.0, from.1, head)? => {
+                        from.1 += head.length;
+                        continue;
+                    }
+                    Ok(head) => {
+                        let id = ids.get(&head.number);
+                        let id = id.ok_or(RecordError::NoAddress { number: head.number });
+                        let blobs = |hash: &_| self.blob(hash);
+                        (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
+                    }
+                    // If the record's length is damaged too, the following records of its chunk cannot be found.
+                    Err(what) => (Err(what), record::length(rest).unwrap_or(rest.len())),
+                };
+                if let Err(RecordError::Storage(error)) = snapshot {
+                    return Err(error.into());
+                }
+                from.1 += length;
+                if !act(snapshot) {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The addresses of all entities by number.
     pub(super) fn addresses(&self) -> Result<BTreeMap<u64, EntityId>, Fault> {
         let mut ids = BTreeMap::new();

@@ -99,8 +99,18 @@ pub(super) fn append<'s>(
     for time in [snapshot.referenced_ns, snapshot.sent_ns, snapshot.arrived_ns] {
         to.extend_from_slice(&time.to_le_bytes());
     }
-    put_count(to, snapshot.instances.len());
-    for instance in &snapshot.instances {
+    append_instances(to, &snapshot.instances, blobs);
+    seal(&mut to[start..]);
+}
+
+/// Appends the instances of a snapshot; the large values that they refer to go to `blobs`.
+pub(super) fn append_instances<'s>(
+    to: &mut Vec<u8>,
+    instances: &'s [Instance],
+    blobs: &mut Vec<(Hash, &'s [u8])>,
+) {
+    put_count(to, instances.len());
+    for instance in instances {
         to.extend_from_slice(&instance.confidence.to_le_bytes());
         put_count(to, instance.attributes.len());
         for (name, value) in instance.attributes.iter() {
@@ -114,7 +124,6 @@ pub(super) fn append<'s>(
             put_numbers(to, rows);
         }
     }
-    seal(&mut to[start..]);
 }
 
 fn seal(record: &mut [u8]) {

@@ -1,4 +1,4 @@
-//! Retention: what long-term memory forgets by age and size, and the joining of small chunks.
+//! Retention: what long-term memory forgets by age and size.
 //!
 //! The newest snapshot of each entity is kept, unless it is a removal, and so is the content of named snapshots. Followers
 //! see forgotten snapshots as a gap in the versions; a name that is forgotten counts from 1 again.
@@ -8,25 +8,26 @@
 
 use std::collections::BTreeSet;
 
-use redb::{Durability, ReadableTable, ReadableTableMetadata};
+use redb::ReadableTable;
 
 use super::error::Fault;
 use super::write::Writer;
 use super::{LongTermMemory, StoreError, record};
 
-/// Chunks that are forgotten in one transaction, so that no commit waits long.
+/// Chunks that are forgotten in one transaction, and entities of which something is, so that no commit waits long: each entity may
+/// have a page of its own in the index.
 const MAX_FORGOTTEN: usize = 8;
-/// Chunks that are joined in one transaction.
-const MAX_JOINED: usize = 256;
-/// A chunk below this many bytes is joined with others.
-const SMALL_CHUNK_BYTES: usize = 32_000;
+const MAX_CHANGED: usize = 250;
+
+/// What the rows of a record take in the file beside it, about: in the index, and of its entity.
+const ROW_BYTES: u64 = 100;
 
 /// How much is kept. `None` is unlimited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Retention {
     /// How long after their arrival snapshots are kept, ns.
     pub age_ns: Option<u64>,
-    /// Most bytes of records and blobs.
+    /// Most bytes of records and blobs, with 100 for each record's rows.
     pub bytes: Option<u64>,
 }
 
@@ -51,50 +52,54 @@ impl LongTermMemory {
     /// # Errors
     /// When the disk fails; snapshots removed before that stay removed.
     pub fn retain(&self, retention: Retention, now_ns: u64) -> Result<Dropped, StoreError> {
+        let _alone = self.upkeep.lock();
         let before = retention.age_ns.map_or(0, |age| now_ns.saturating_sub(age));
         let start = self.stats()?;
-        let is_over = |bytes: u64| retention.bytes.is_some_and(|most| bytes > most);
+        let is_over = |bytes: u64, snapshots: u64| {
+            retention.bytes.is_some_and(|most| bytes + snapshots * ROW_BYTES > most)
+        };
         let oldest = self.read(|reader| reader.oldest_chunk())?;
-        let is_due = oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes));
+        let is_due =
+            oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes, start.snapshots));
         let mut left = is_due;
         if is_due {
             let pinned = self.pinned()?;
             while left {
-                left = self.write_as(Durability::None, |writer, _| {
-                    Ok((writer.forget_some(&is_over, before, &pinned)?, true))
-                })?;
+                left = self.write(|writer, _| Ok((writer.forget_some(&is_over, before, &pinned)?, true)))?;
             }
-            self.write(|_, _| Ok(((), true)))?;
         }
         let end = self.stats()?;
         Ok(Dropped {
             snapshots: start.snapshots.saturating_sub(end.snapshots),
             bytes: start.bytes.saturating_sub(end.bytes),
-            over: retention.bytes.map_or(0, |most| end.bytes.saturating_sub(most)),
+            over: retention
+                .bytes
+                .map_or(0, |most| (end.bytes + end.snapshots * ROW_BYTES).saturating_sub(most)),
         })
     }
 
-    /// Joins small chunks, in order. Returns whether there were any.
-    pub(super) fn join_chunks(&self) -> Result<bool, StoreError> {
-        let last = self.write(|writer, _| Ok((writer.totals.next_chunk, false)))?;
-        let mut joined = false;
-        for keeps in [false, true] {
-            let mut from = Some(0);
-            while let Some(first) = from {
-                let (next, any) = self.write(|writer, _| {
-                    writer.keeps = keeps;
-                    let (small, next) = writer.small_chunks(first, last)?;
-                    let any = small.len() > 1;
-                    for chunk in small.into_iter().filter(|_| any) {
-                        writer.move_chunk(chunk)?;
-                    }
-                    Ok(((next, any), any))
-                })?;
-                joined |= any;
-                from = next;
+    /// As [`Self::retain`]; a file that is larger than the limit is brought to three quarters of it, so that it is written anew
+    /// only after as much has come as was forgotten. [`Dropped::over`] is what the file has above the limit.
+    ///
+    /// # Errors
+    /// As [`Self::retain`] and [`Self::compact`].
+    pub fn keep_within(&self, retention: Retention, now_ns: u64) -> Result<Dropped, StoreError> {
+        let start = self.stats()?;
+        let mut dropped = self.retain(retention, now_ns)?;
+        let Some(most) = retention.bytes else { return Ok(dropped) };
+        if self.stats()?.file_bytes > most {
+            self.retain(Retention { bytes: Some(most / 4 * 3), ..retention }, now_ns)?;
+            let kept = self.stats()?;
+            // Without a gain, the file would be written anew every time.
+            if (kept.bytes + kept.snapshots * ROW_BYTES) / 9 * 10 < kept.file_bytes {
+                self.compact()?;
             }
         }
-        Ok(joined)
+        let end = self.stats()?;
+        dropped.snapshots = start.snapshots.saturating_sub(end.snapshots);
+        dropped.bytes = start.bytes.saturating_sub(end.bytes);
+        dropped.over = end.file_bytes.saturating_sub(most);
+        Ok(dropped)
     }
 }
 
@@ -102,7 +107,7 @@ impl Writer<'_> {
     /// Forgets what may be forgotten of the oldest chunks. Returns whether there may be more of them.
     fn forget_some(
         &mut self,
-        is_over: &impl Fn(u64) -> bool,
+        is_over: &impl Fn(u64, u64) -> bool,
         before: u64,
         pinned: &Pinned,
     ) -> Result<bool, Fault> {
@@ -112,9 +117,12 @@ impl Writer<'_> {
             oldest.push(row?.0.value());
         }
         let is_full = oldest.len() == MAX_FORGOTTEN;
-        let mut thin = BTreeSet::new();
+        let (mut thin, mut changed) = (BTreeSet::new(), BTreeSet::new());
         for (arrived_ns, chunk) in oldest {
-            let over = is_over(self.totals.bytes);
+            if changed.len() >= MAX_CHANGED {
+                return self.thin_out(thin).map(|()| true);
+            }
+            let over = is_over(self.totals.bytes, self.totals.snapshots);
             if !over && arrived_ns >= before {
                 return self.thin_out(thin).map(|()| false);
             }
@@ -125,6 +133,7 @@ impl Writer<'_> {
                 continue;
             }
             for (head, record) in self.take_records(chunk)? {
+                changed.insert(head.number);
                 self.forget_or_move(head, &record, pinned, &mut thin)?;
             }
         }
@@ -192,13 +201,8 @@ impl Writer<'_> {
         thin.into_iter().try_for_each(|chunk| self.move_chunk(chunk))
     }
 
-    /// Moves the records of a chunk that are in the index to the end.
+    /// Moves the records of a chunk of `kept` that are in the index to the end.
     fn move_chunk(&mut self, chunk: u64) -> Result<(), Fault> {
-        if !self.keeps {
-            let newest = self.newest_arrival_in(chunk)?;
-            self.ages.remove((newest, chunk))?;
-            self.ages.remove((0, chunk))?;
-        }
         self.take_records(chunk)?.into_iter().try_for_each(|(head, record)| self.move_record(&record, head))
     }
 
@@ -217,15 +221,17 @@ impl Writer<'_> {
         Ok(records)
     }
 
-    /// Lets retention come again to what was kept because a named snapshot contained it.
-    pub(super) fn unpin(&mut self, entries: impl Iterator<Item = (u64, u64)>) -> Result<(), Fault> {
+    /// Lets retention come again to what was kept because a named snapshot contained it. Returns whether there is any.
+    pub(super) fn unpin(&mut self, entries: &[(u64, u64)]) -> Result<bool, Fault> {
+        let mut any = false;
         for entry in entries {
-            let Some(row) = self.index.get(entry)?.map(|row| row.value()) else { continue };
+            let Some(row) = self.index.get(*entry)?.map(|row| row.value()) else { continue };
             if self.kept.get(row.0)?.is_some() {
                 self.ages.insert((0, row.0), ())?;
+                any = true;
             }
         }
-        Ok(())
+        Ok(any)
     }
 
     /// When the newest record of a chunk arrived, ns.
@@ -240,30 +246,10 @@ impl Writer<'_> {
         }
         Ok(newest)
     }
-
-    /// Up to [`MAX_JOINED`] small chunks of a range, of `kept` or not, and where to continue.
-    fn small_chunks(&self, from: u64, last: u64) -> Result<(Vec<u64>, Option<u64>), Fault> {
-        let mut small = Vec::new();
-        if self.chunks.len()? == 0 {
-            return Ok((small, None));
-        }
-        for row in self.chunks.range(from..last)? {
-            let (number, bytes) = row?;
-            let is_small = bytes.value().len() < SMALL_CHUNK_BYTES;
-            if is_small && self.kept.get(number.value())?.is_some() == self.keeps {
-                small.push(number.value());
-                if small.len() == MAX_JOINED {
-                    let next = number.value() + 1;
-                    return Ok((small, Some(next)));
-                }
-            }
-        }
-        Ok((small, None))
-    }
 }
 
 /// Passes the records of a chunk to `act`, one after the other.
-fn each_record(
+pub(super) fn each_record(
     bytes: &[u8],
     mut act: impl FnMut(record::Head, &[u8]) -> Result<(), Fault>,
 ) -> Result<(), Fault> {

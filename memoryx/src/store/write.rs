@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use indexmap::IndexMap;
 use parking_lot::MutexGuard;
-use redb::{Durability, ReadableTable, Table, WriteTransaction};
+use redb::{ReadableTable, Table, WriteTransaction};
 
 use super::error::Fault;
 use super::record::{self, Hash};
@@ -232,7 +232,7 @@ impl<'t> Writer<'t> {
         }
     }
 
-    fn close_chunk(&mut self) -> Result<(), Fault> {
+    pub(super) fn close_chunk(&mut self) -> Result<(), Fault> {
         if !self.open.is_empty() {
             let inserted = self.chunks.insert(self.totals.next_chunk, self.open.as_slice());
             inserted?;
@@ -299,13 +299,13 @@ impl<'t> Writer<'t> {
         Ok(true)
     }
 
-    /// Stores a list under a name, or removes it. Returns the earlier list of that name.
-    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<Option<Vec<u8>>, Fault> {
-        let before = match list {
-            Some(list) => self.named.insert(name, list)?,
-            None => self.named.remove(name)?,
-        };
-        Ok(before.map(|list| list.value().to_vec()))
+    /// Stores a list under a name, or removes it.
+    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<(), Fault> {
+        match list {
+            Some(list) => drop(self.named.insert(name, list)?),
+            None => drop(self.named.remove(name)?),
+        }
+        Ok(())
     }
 
     /// Notes the last version that an entity, or with `None` any entity that is not stored, may have been given.
@@ -371,6 +371,7 @@ impl LongTermMemory {
             for (id, version) in given {
                 writer.note_given(*id, *version, memo)?;
             }
+            self.journal(snapshots, given);
             Ok((new, new > 0 || !given.is_empty()))
         })
     }
@@ -380,15 +381,6 @@ impl LongTermMemory {
         &self,
         act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
     ) -> Result<T, StoreError> {
-        self.write_as(Durability::Immediate, act)
-    }
-
-    /// As [`Self::write`]; without durability, the next change that has it makes this one durable, too.
-    pub(super) fn write_as<T>(
-        &self,
-        durability: Durability,
-        act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
-    ) -> Result<T, StoreError> {
         let mut memo = self.memo.lock();
         if self.shared {
             // Others have written since.
@@ -396,7 +388,8 @@ impl LongTermMemory {
         }
         let written = self.with(|database| {
             let mut transaction = database.begin_write()?;
-            transaction.set_durability(durability).map_err(|e| Fault::Damaged(e.to_string()))?;
+            // So the file is opened at once after a kill.
+            transaction.set_quick_repair(true);
             let mut writer = Writer::new(&transaction)?;
             let (result, changed) = act(&mut writer, &memo)?;
             if !changed {
@@ -418,6 +411,8 @@ impl LongTermMemory {
             }
             Err(error) => {
                 memo.clear();
+                // Whoever makes a copy would not know whether this is in it.
+                *self.journal.lock() = None;
                 Err(error)
             }
         };

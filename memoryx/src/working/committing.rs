@@ -11,8 +11,10 @@ use std::thread::JoinHandle;
 
 use super::content::{Content, Usage, bytes_of, owner};
 use super::{CommitResult, Core};
+use crate::changes::Told;
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
+use crate::query::{Pattern, Query};
 use crate::schema::check_form;
 
 /// Most requests that are committed together.
@@ -143,7 +145,7 @@ impl Core {
         let before = std::mem::replace(&mut *self.content.write(), Arc::new(next));
         for snapshot in new {
             // Having no receiver is not an error.
-            let _ = self.changes.send(Arc::clone(snapshot));
+            let _ = self.changes.send(Told::of(snapshot));
         }
         drop(before);
     }
@@ -161,7 +163,8 @@ impl Core {
         // A single update changes nothing when it is refused.
         let before = (updates.len() > 1).then(|| next.clone());
         for update in updates {
-            match self.number_one(update, sent_ns, prior, writer, next) {
+            let read = self.read_in(&update.id, next);
+            match read.and_then(|()| self.number_one(update, sent_ns, prior, writer, next)) {
                 Ok(snapshot) => {
                     next.put_in(&snapshot, self.limits.history);
                     group.push(snapshot);
@@ -174,6 +177,30 @@ impl Core {
             }
         }
         Ok(())
+    }
+
+    /// Takes an entity's newest snapshot over from the backing, if it may be there only.
+    fn read_in(&self, id: &EntityId, next: &mut Content) -> Result<(), MemoryError> {
+        if next.is_partial && next.newest(id).is_none() {
+            let found = self.backed(&Query { removed: true, ..Query::latest(Pattern::entity(id)) })?;
+            let fitting = found.into_iter().find(|snapshot| self.fits(snapshot, next).is_ok());
+            fitting.inspect(|snapshot| next.put_in(snapshot, self.limits.history));
+        }
+        Ok(())
+    }
+
+    /// What the backing answers.
+    pub(super) fn backed(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        let archive = self.backing.as_ref().and_then(|backing| backing.archive());
+        archive.map_or(Ok(Vec::new()), |archive| archive.recall(query))
+    }
+
+    /// Checks that a snapshot from a store is valid, and that there is room for it.
+    pub(super) fn fits(&self, snapshot: &Snapshot, held: &Content) -> Result<(), MemoryError> {
+        snapshot.check_version()?;
+        self.check(&snapshot.id, &snapshot.instances)?;
+        let is_new = held.newest(&snapshot.id).is_none();
+        self.check_room(held, &snapshot.id, &snapshot.instances, is_new, None)
     }
 
     fn number_one(
@@ -190,12 +217,15 @@ impl Core {
         self.check(&update.id, &update.instances)?;
         self.check_time(&update, writer.last_arrival)?;
         let newest = next.newest(&update.id);
+        let backed = || self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id));
         let (version, is_gone) = match newest {
             Some(newest) => (newest.version, newest.is_removed()),
-            None => (self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id))?, true),
+            None => (backed()?, true),
         };
         expect(&update, if is_gone { 0 } else { version })?;
-        let version = writer.given.get(&update.id).map_or(version, |given| version.max(*given));
+        let given =
+            if next.is_partial { backed()? } else { writer.given.get(&update.id).copied().unwrap_or(0) };
+        let version = version.max(given);
         let owner = Some(owner(&update.id)).filter(|_| self.limits.shares > 1 && !prior);
         self.check_room(next, &update.id, &update.instances, newest.is_none(), owner)?;
         Ok(Arc::new(Snapshot {

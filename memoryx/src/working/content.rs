@@ -1,6 +1,7 @@
 //! The content of a working memory at one moment. It is immutable once published: the next commit changes a copy, which
 //! shares everything but what has changed. So a reader keeps the moment that it has, and nobody waits for anybody.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem::size_of;
 use std::ops::Bound::{Included, Unbounded};
 use std::ops::{Add, Sub};
@@ -40,11 +41,19 @@ pub(super) struct Content {
     removed: OrdSet<(u64, EntityId)>,
     /// The entities that are to be removed, by when, ns.
     expiring: OrdSet<(u64, EntityId)>,
+    /// Whether entities may be in the backing only, because they are still being read from it.
+    pub(super) is_partial: bool,
 }
 
 #[derive(Clone, Default)]
 struct Segment {
-    entities: OrdMap<EntityId, History>,
+    /// By the hash of the address: among a million entities, a look-up by address reads some twenty addresses all over the memory,
+    /// and one by hash a single one.
+    entities: OrdMap<u64, History>,
+    /// Those whose hash another one has.
+    collided: OrdMap<EntityId, History>,
+    /// All of them in order of address.
+    order: OrdSet<EntityId>,
     index: Index,
     /// The newest changes in order: arrival time, ns, and entity. So a reader that missed a few changes finds exactly
     /// those.
@@ -55,6 +64,17 @@ struct Segment {
 
 /// The snapshots of one entity, the newest last; never empty.
 type History = Arc<[Arc<Snapshot>]>;
+
+/// The same in every run.
+fn hash_of(id: &EntityId) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    id.hash(&mut hasher);
+    hasher.finish()
+}
+
+fn is_of(history: &History, id: &EntityId) -> bool {
+    history.last().is_some_and(|newest| newest.id == *id)
+}
 
 /// A part of a memory's capacity, and how many snapshots were inserted into it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -94,12 +114,41 @@ pub(super) fn owner(id: &EntityId) -> &str {
 }
 
 impl Segment {
+    fn history(&self, id: &EntityId) -> Option<&History> {
+        let held = self.entities.get(&hash_of(id))?;
+        if is_of(held, id) { Some(held) } else { self.collided.get(id) }
+    }
+
+    fn put(&mut self, id: &EntityId, history: History) {
+        let hash = hash_of(id);
+        if self.entities.get(&hash).is_none_or(|held| is_of(held, id)) {
+            self.entities.insert(hash, history);
+        } else {
+            self.collided.insert(id.clone(), history);
+        }
+    }
+
+    fn take(&mut self, id: &EntityId) -> Option<History> {
+        self.order.remove(id);
+        let history = self.history(id).cloned()?;
+        if self.collided.remove(id).is_some() {
+            return Some(history);
+        }
+        self.entities.remove(&hash_of(id));
+        // Another one with this hash is found in its place.
+        let other = self.collided.keys().find(|other| hash_of(other) == hash_of(id)).cloned();
+        if let Some((other, history)) = other.and_then(|other| self.collided.remove_with_key(&other)) {
+            self.put(&other, history);
+        }
+        Some(history)
+    }
+
     /// Appends a change, and drops the oldest when there are too many.
     fn note_arrival(&mut self, snapshot: &Snapshot) {
         // A snapshot from a store may have arrived long ago; taking the last arrival time keeps the order.
         let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
         self.arrivals.push_back((snapshot.arrived_ns.max(last), snapshot.id.clone()));
-        if self.arrivals.len() > ARRIVALS_PER_ENTITY * self.entities.len() + MORE_ARRIVALS
+        if self.arrivals.len() > ARRIVALS_PER_ENTITY * self.order.len() + MORE_ARRIVALS
             && let Some((arrived_ns, _)) = self.arrivals.pop_front()
         {
             self.forgotten_until = arrived_ns;
@@ -143,7 +192,7 @@ impl Content {
     }
 
     fn history(&self, id: &EntityId) -> Option<&History> {
-        self.segments.get(id.segment())?.entities.get(id)
+        self.segments.get(id.segment())?.history(id)
     }
 
     /// How many bytes the next snapshot of an entity drops from its history, if `keep` snapshots are held.
@@ -176,18 +225,15 @@ impl Content {
         let first = asked.query().after.as_ref().map(|after| &after.id);
         let from = one.or(first.map(EntityId::segment)).map_or(Unbounded, Included);
         for (_, segment) in self.segments.range::<_, str>((from, one.map_or(Unbounded, Included))) {
-            let mut consider =
-                |id: &EntityId, history: &History| answer.consider(id, || history.iter().cloned());
-            let newest = |id: &EntityId| segment.entities.get(id)?.last();
+            let mut consider = |id: &EntityId| {
+                answer.consider(id, || segment.history(id).into_iter().flat_map(|h| h.iter().cloned()))
+            };
+            let newest = |id: &EntityId| segment.history(id)?.last();
             let few = segment.arrived(asked).or_else(|| segment.index.candidates(asked, newest));
+            let from = (first.map_or(Unbounded, Included), Unbounded);
             let goes_on = match few {
-                Some(ids) => {
-                    ids.iter().all(|id| segment.entities.get(id).is_none_or(|held| consider(id, held)))
-                }
-                None => {
-                    let from = (first.map_or(Unbounded, Included), Unbounded);
-                    segment.entities.range::<_, EntityId>(from).all(|(id, history)| consider(id, history))
-                }
+                Some(ids) => ids.iter().all(&mut consider),
+                None => segment.order.range::<_, EntityId>(from).all(&mut consider),
             };
             if !goes_on {
                 return;
@@ -208,7 +254,7 @@ impl Content {
             self.segments.insert(id.segment().into(), Segment::default());
         }
         let Some(segment) = self.segments.get_mut(id.segment()) else { return };
-        let held = segment.entities.get(id).cloned().unwrap_or_default();
+        let held = segment.history(id).cloned().unwrap_or_default();
         let (dropped, stays) = held.split_at((held.len() + 1).saturating_sub(keep));
         let freed =
             Usage { bytes: dropped.iter().map(|snapshot| snapshot.bytes()).sum(), ..Usage::default() };
@@ -227,7 +273,10 @@ impl Content {
         }
         segment.index.change(id, held.last().map(|before| &**before), Some(snapshot));
         let history = stays.iter().chain(std::iter::once(snapshot)).cloned().collect();
-        segment.entities.insert(id.clone(), history);
+        if held.is_empty() {
+            segment.order.insert(id.clone());
+        }
+        segment.put(id, history);
         segment.note_arrival(snapshot);
         self.last_arrival = self.last_arrival.max(snapshot.arrived_ns);
         self.count(id, more, freed);
@@ -260,10 +309,10 @@ impl Content {
         self.removed.remove(&oldest);
         let (_, id) = oldest;
         let Some(segment) = self.segments.get_mut(id.segment()) else { return };
-        let history = segment.entities.remove(&id);
+        let history = segment.take(&id);
         let last = history.as_ref().and_then(|history| history.last());
         segment.index.change(&id, last.map(|last| &**last), None);
-        if segment.entities.is_empty() {
+        if segment.order.is_empty() {
             self.segments.remove(id.segment());
         }
         let bytes = history.iter().flat_map(|history| history.iter()).map(|snapshot| snapshot.bytes()).sum();

@@ -18,7 +18,7 @@ use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
 
-use crate::changes::Changes;
+use crate::changes::{Changes, Told};
 use crate::checked_query::Answer;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -144,7 +144,7 @@ struct Core {
     limits: MemoryLimits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
-    changes: broadcast::Sender<Arc<Snapshot>>,
+    changes: broadcast::Sender<Told>,
     /// Locked by whoever commits, also during the backing's write.
     writer: Mutex<WriterState>,
     /// The present content. The lock is held only while the pointer is copied or replaced.
@@ -354,29 +354,37 @@ impl WorkingMemory {
 
     /// Inserts snapshots from a store, with their versions and times. Entities that this memory has in the same or a
     /// newer version stay; invalid snapshots are left out, and remain in the store only. Returns how many were
-    /// inserted, and why the first one was left out. The backing is not called, because it is the source.
+    /// inserted, and why the first one was left out. The backing is not called, because it is the source; subscribers are not
+    /// told, because these are no changes.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
         let mut writer = self.core.writer.lock();
         let now_ns = self.now_ns();
         let mut next = Content::clone(&self.core.content());
-        let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
+        let (mut count, mut refused) = (0, None);
         for snapshot in snapshots {
             let newest = next.newest(&snapshot.id).map_or(0, |s| s.version);
             if snapshot.version <= newest {
                 continue;
             }
-            let room = || self.core.check_room(&next, &snapshot.id, &snapshot.instances, newest == 0, None);
-            match self.check_kept(&snapshot).and_then(|()| room()) {
+            match self.core.fits(&snapshot, &next) {
                 Ok(()) => {
                     next.put_in(&snapshot, self.core.limits.history);
                     writer.note_arrival(snapshot.arrived_ns, now_ns);
-                    fitting.push(snapshot);
+                    count += 1;
                 }
                 Err(error) => refused = refused.or(Some(error)),
             }
         }
-        self.core.publish(next, &fitting);
-        (fitting.len(), refused)
+        self.core.publish(next, &[]);
+        (count, refused)
+    }
+
+    /// Whether entities may still be in the backing only, where reading and committing look for them.
+    pub(crate) fn set_partial(&self, is_partial: bool) {
+        let _alone = self.core.writer.lock();
+        let mut next = Content::clone(&self.core.content());
+        next.is_partial = is_partial;
+        self.core.publish(next, &[]);
     }
 
     /// Counts the next versions of these entities from later ones than it holds.
@@ -390,7 +398,10 @@ impl WorkingMemory {
     /// [`MemoryError::NotFound`] when there is none.
     pub fn latest_now(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
         let content = self.core.content();
-        let found = content.newest(id).filter(|s| !s.is_removed()).cloned();
+        let found = match content.newest(id) {
+            None if content.is_partial => self.core.backed(&Query::latest(Pattern::entity(id)))?.pop(),
+            found => found.filter(|s| !s.is_removed()).cloned(),
+        };
         found.ok_or_else(|| MemoryError::NotFound { id: id.to_string() })
     }
 
@@ -409,7 +420,8 @@ impl WorkingMemory {
     /// As [`Memory::query`]; [`MemoryError::Query`] when a query for the nearest ends early.
     pub fn query_while(&self, query: &Query, goes_on: &dyn Fn() -> bool) -> Result<Answer, MemoryError> {
         let asked = query.check()?;
-        let kept = self.core.backing.as_ref().filter(|_| query.long_term).and_then(|b| b.archive());
+        let is_wanted = query.long_term || self.core.content().is_partial;
+        let kept = self.core.backing.as_ref().filter(|_| is_wanted).and_then(|b| b.archive());
         if let Some(kept) = kept {
             return MergedView { memory: &self.core, kept, part: self.part }.ask(&asked, goes_on);
         }

@@ -188,6 +188,13 @@ impl SharedLoad {
         &self.taken
     }
 
+    /// Where the load's frame is for a hand whose TCP is there, without what it goes beyond that.
+    pub fn load_of(&self, hand: usize, tcp: &LinePoint) -> LinePoint {
+        let pose = tcp.pose * self.load_from_tcp[hand].inverse();
+        let from_tcp = pose.translation.vector - tcp.pose.translation.vector;
+        LinePoint { pose, linear: tcp.linear + tcp.angular.cross(&from_tcp), angular: tcp.angular }
+    }
+
     /// Advances by `dt` s, with the load's frame at `load`. Does not allocate.
     ///
     /// # Errors
@@ -198,13 +205,26 @@ impl SharedLoad {
         hands: &[HandOnLoad; 2],
         load: &LinePoint,
     ) -> Result<SharedLoadStep, MotionError> {
+        self.step_each(dt, hands, &[*load; 2])
+    }
+
+    /// The same for hands that do not agree: each moves as if the load's frame were where it believes it to be.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn step_each(
+        &mut self,
+        dt: f64,
+        hands: &[HandOnLoad; 2],
+        loads: &[LinePoint; 2],
+    ) -> Result<SharedLoadStep, MotionError> {
         sample_time(dt)?;
         let forces = LoadForces::of(hands)?;
         let c = &self.config;
         let carried = forces.hands.iter().map(|(_, along)| along / c.friction);
         let needed = carried.fold(c.squeeze, f64::max).min(c.most_squeeze);
         self.wanted += (needed - self.wanted).clamp(-c.squeeze_rate * dt, c.squeeze_rate * dt);
-        let load_from_root = load.pose.rotation.inverse();
+        let load_from_root = loads[0].pose.rotation.inverse();
         let line = load_from_root * forces.line.into_inner();
         let closing = (c.gain * (self.wanted - forces.squeeze)).clamp(-c.fastest, c.fastest);
         let along_sides = load_from_root * forces.internal - line * forces.squeeze;
@@ -220,7 +240,7 @@ impl SharedLoad {
         let least = forces.hands[0].0.min(forces.hands[1].0);
         self.unpressed = if least < c.lost_share * self.wanted { self.unpressed + dt } else { 0.0 };
         let status = if self.unpressed > c.lost_after { LoadStatus::Lost } else { LoadStatus::Held };
-        let goal = |hand: usize, sign: f64| self.goal(load, hand, sign, &rates);
+        let goal = |hand: usize, sign: f64| self.goal(&loads[hand], hand, sign, &rates);
         Ok(SharedLoadStep { hands: [goal(0, 1.0), goal(1, -1.0)], forces, wanted: self.wanted, status })
     }
 

@@ -200,3 +200,20 @@ fn what_is_no_input_is_refused() {
     let none = SharedLoadConfig { friction: 0.0, ..SharedLoadConfig::default() };
     assert!(SharedLoad::new(none, &rig.hands()).is_err());
 }
+
+#[test]
+fn hands_that_do_not_agree_go_each_where_it_believes_the_load() {
+    let rig = Rig::new(3000.0, 0.02);
+    let mut law = SharedLoad::new(SharedLoadConfig::default(), &rig.hands()).unwrap();
+    let rest = resting(&law);
+    let higher = LinePoint { pose: Translation3::new(0.0, 0.0, 0.03) * rest.pose, ..rest };
+    let mut other = law.clone();
+    let agreed = law.step(DT, &rig.hands(), &rest).unwrap();
+    let apart = other.step_each(DT, &rig.hands(), &[rest, higher]).unwrap();
+    assert_eq!(agreed.hands[0], apart.hands[0]);
+    let raised = apart.hands[1].pose.translation.vector - agreed.hands[1].pose.translation.vector;
+    assert!((raised - Vector3::z() * 0.03).norm() < 1e-12, "{raised}");
+    // The load's frame for a TCP that is where the load puts it is that load.
+    let tcp = LinePoint { pose: rig.hands()[1].tcp, ..rest };
+    assert!((law.load_of(1, &tcp).pose.translation.vector - rest.pose.translation.vector).norm() < 1e-12);
+}

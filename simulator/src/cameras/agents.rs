@@ -10,7 +10,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{SimulatedCameras, StereoRig};
-use crate::render::{Motion, SensorNoise, VisibleScene, render_pair};
+use crate::render::{ExposureMotion, SensorNoise, VisibleScene, render_pair};
 use crate::world::{AgentSpec, CameraSpec};
 
 /// The stereo pair of one agent.
@@ -69,7 +69,8 @@ impl AgentEyes {
 
     /// Draws a frame of a scene and publishes it.
     pub(crate) fn draw(&mut self, scene: &VisibleScene, exposed_ns: u64) {
-        let drawn = render_pair(scene, &self.rig.left_and_right((self.scene_from_left, Motion::default())));
+        let drawn =
+            render_pair(scene, &self.rig.left_and_right((self.scene_from_left, ExposureMotion::default())));
         let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;
         let stamp_ns = self.rig.stamp(exposed_ns);
@@ -80,8 +81,7 @@ impl AgentEyes {
 
 #[cfg(test)]
 mod tests {
-    use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer, components};
-    use nalgebra::Vector3;
+    use armarium_visionx::{ColorModel, ObjectLocalizer, components};
     use std::path::Path;
 
     use crate::simulation::{Options, Simulation};
@@ -104,8 +104,8 @@ mod tests {
         let sponge = &world.objects[world.first_object().unwrap()];
         let color = ColorModel::from_rgb(sponge.color);
         assert!(components(&color.segment(&robots.left), 20).is_empty(), "the robot sees the sponge");
-        let model = BoxModel { size: Vector3::from(sponge.size), color };
-        let seen = ObjectLocalizer::new(eyes.calibration(), model).localize(&alices).unwrap();
+        let localizer = ObjectLocalizer::new(eyes.calibration(), sponge.size, sponge.color);
+        let seen = localizer.localize(&alices).unwrap();
         let place = (world.agents[0].root_from_agent() * seen.root_from_object).translation;
         let off = (place.x - sponge.at[0]).hypot(place.y - sponge.at[1]);
         assert!(off < 0.015, "{place:?} is {off} m off");

@@ -12,7 +12,7 @@ use crate::coach::CoachState;
 use crate::person;
 use crate::render::hand::{HandPose, hand_shapes};
 use crate::render::robot::{link_shapes, robot_shapes};
-use crate::render::{Bump, DirtTexture, Motion, Shape, VisibleForm, VisibleScene};
+use crate::render::{Bump, DirtTexture, ExposureMotion, Shape, VisibleForm, VisibleScene};
 use crate::start::{self, RobotStart};
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::world::{CoverSpec, World};
@@ -33,7 +33,7 @@ pub(crate) struct RobotState<'a> {
     pub(crate) sensed: &'a [f64],
 }
 
-/// Where everything was that moves, [`SINCE_MOMENT`] before a frame: how it moves follows from that.
+/// Where everything was that moves, `SINCE_MOMENT` before a frame: how it moves follows from that.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moment {
     /// True joint positions of the robots, rad (m), in the world's order.
@@ -200,7 +200,7 @@ impl Drawing {
             let shapes = self.shapes_at(self.before.iter(), &then);
             let poses = shapes.iter().zip(&scene.shapes);
             let motion = |(then, now): (&Shape, &Shape)| {
-                Motion::between(&then.scene_from_shape, &now.scene_from_shape, self.exposure)
+                ExposureMotion::between(&then.scene_from_shape, &now.scene_from_shape, self.exposure)
             };
             scene.motions = poses.map(motion).collect();
         }

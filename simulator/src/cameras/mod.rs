@@ -26,7 +26,8 @@ use rand_distr::StandardNormal;
 use crate::coach::HandShown;
 use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
-    DepthSensor, Motion, Rendering, SensorNoise, Shape, Viewpoint, VisibleScene, depth_of_shapes, render_pair,
+    DepthSensor, ExposureMotion, Rendering, SensorNoise, Shape, Viewpoint, VisibleScene, depth_of_shapes,
+    render_pair,
 };
 use crate::start::RobotStart;
 use crate::truth::FrameTruth;
@@ -220,7 +221,7 @@ impl StereoRig {
         due
     }
 
-    fn left_and_right(&self, (scene_from_left, motion): (Isometry3<f64>, Motion)) -> [Viewpoint; 2] {
+    fn left_and_right(&self, (scene_from_left, motion): (Isometry3<f64>, ExposureMotion)) -> [Viewpoint; 2] {
         let StereoCalibration { camera, baseline } = self.source.calibration;
         let left = Viewpoint { scene_from_camera: scene_from_left, motion, camera };
         [left, left.shifted_right(baseline)]
@@ -334,7 +335,7 @@ impl Eyes {
     ) -> ([Rendering; 2], FrameTruth) {
         let [before, true_left] =
             drawing.links(self.robot, self.left).map(|left| left * self.believed_from_true);
-        let motion = Motion::between(&before, &true_left, drawing.exposure());
+        let motion = ExposureMotion::between(&before, &true_left, drawing.exposure());
         let [left, right] = self.rig.left_and_right((true_left, motion));
         let drawn = render_pair(scene, &[left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {

@@ -21,7 +21,7 @@ const STRIDE: usize = 10;
 const WINDOW: usize = 10;
 
 /// A load that is pressed with more counts as crushed, N.
-const CRUSHED_N: f64 = 40.0;
+pub(super) const CRUSHED_N: f64 = 40.0;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct CarryingFigures {
@@ -53,9 +53,11 @@ struct CarryingFigures {
     put_down_moved_m: Option<f64>,
 }
 
-type Pressed = (u64, PressedLoad, Isometry3<f64>);
+/// What was between the hands at a time, ns, and the pose of its middle.
+pub(super) type Pressed = (u64, PressedLoad, Isometry3<f64>);
 
-fn between<'r>(run: &Run<'r>, from: u64, to: u64) -> &'r [Pressed] {
+/// What was between the hands in a span of time, ns.
+pub(super) fn between<'r>(run: &Run<'r>, from: u64, to: u64) -> &'r [Pressed] {
     let at = |t: u64| run.log.pressed.partition_point(|(stamp, ..)| *stamp < t);
     let (from, to) = (at(from), at(to));
     &run.log.pressed[from..to.max(from)]
@@ -69,18 +71,19 @@ fn carried<'r>(run: &Run<'r>) -> Option<&'r [Pressed]> {
 }
 
 /// The internal force, N: half the difference of the forces along the line between both contacts.
-fn internal(load: &PressedLoad) -> f64 {
+pub(super) fn internal_force(load: &PressedLoad) -> f64 {
     let [first, second] = &load.hands;
     let line = (second.at - first.at).normalize();
     (first.force - second.force).dot(&line) / 2.0
 }
 
-fn tilt(pose: &Isometry3<f64>) -> f64 {
+/// The angle of the load's z axis to the vertical, rad.
+pub(super) fn tilt(pose: &Isometry3<f64>) -> f64 {
     (pose.rotation * Vector3::z()).angle(&Vector3::z())
 }
 
 /// Where the middle between both pads is in the load.
-fn in_hands((_, load, pose): &Pressed) -> Vector3<f64> {
+pub(super) fn in_hands((_, load, pose): &Pressed) -> Vector3<f64> {
     let middle = nalgebra::center(&load.hands[0].at, &load.hands[1].at);
     pose.inverse_transform_point(&middle).coords
 }
@@ -90,7 +93,7 @@ fn measure(run: &Run<'_>) -> Option<Value> {
     let [begin, .., end] = carried else { return None };
     let (from, load, start) = begin;
     let body = run.world.named_bodies().nth(load.body)?;
-    let forces: Vec<f64> = carried.iter().map(|(_, load, _)| internal(load)).collect();
+    let forces: Vec<f64> = carried.iter().map(|(_, load, _)| internal_force(load)).collect();
     let fold = |start: f64, pick: fn(f64, f64) -> f64| forces.iter().copied().fold(start, pick);
     let touched = |(_, load, _): &&Pressed| load.hands.iter().all(|hand| hand.force != Vector3::zeros());
     let lean = |(_, _, pose): &Pressed| (tilt(pose) - tilt(start)).abs().to_degrees();
@@ -158,7 +161,7 @@ fn section(run: &Run<'_>, _: &Value) -> Vec<Section> {
         title: "Internal force, and how the hands carry".into(),
         y_label: "Force, N".into(),
         series: vec![
-            series("internal force", drawn().map(|(_, load, _)| internal(load)).collect()),
+            series("internal force", drawn().map(|(_, load, _)| internal_force(load)).collect()),
             series("first hand, up", drawn().map(|(_, load, _)| load.hands[0].force.z).collect()),
             series("second hand, up", drawn().map(|(_, load, _)| load.hands[1].force.z).collect()),
         ],

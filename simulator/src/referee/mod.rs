@@ -2,7 +2,7 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `carrying`, `environment`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `carrying`, `learning_together`, `environment`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod carrying;
@@ -13,6 +13,7 @@ mod gestures;
 mod grasp;
 mod guiding;
 mod imitation;
+mod learning_together;
 mod log;
 mod paths;
 mod people;
@@ -69,6 +70,17 @@ pub enum Milestone {
     PutDownStarted,
     /// They have put it down and let go.
     PutDownEnded,
+    /// Two hands begin to lift and shake what they hold, to learn from it.
+    EpochStarted,
+    /// They have lifted it and begin to shake it.
+    PeriodsStarted,
+    /// They have done so to the end.
+    EpochEnded,
+    /// They have learned.
+    LearnedTogether {
+        /// How many epochs they had learned from before.
+        before: u32,
+    },
     /// The robot begins to play a motion in free space.
     PlayStarted,
     /// It has played it.
@@ -94,6 +106,10 @@ impl Milestone {
             "carrying_ended" => Self::CarryingEnded,
             "put_down_started" => Self::PutDownStarted,
             "put_down_ended" => Self::PutDownEnded,
+            "epoch_started" => Self::EpochStarted,
+            "periods_started" => Self::PeriodsStarted,
+            "epoch_ended" => Self::EpochEnded,
+            "learned_together" => Self::LearnedTogether { before: number("before") as u32 },
             "play_started" => Self::PlayStarted,
             "play_ended" => Self::PlayEnded,
             _ => return None,

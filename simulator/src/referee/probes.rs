@@ -9,7 +9,8 @@ use serde_json::{Map, Value};
 
 use super::run::Run;
 use super::{
-    bodies, carrying, coached, environment, force, gestures, grasp, guiding, imitation, people, wiped,
+    bodies, carrying, coached, environment, force, gestures, grasp, guiding, imitation, learning_together,
+    people, wiped,
 };
 
 /// A probe.
@@ -25,7 +26,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 11] = [
+const PROBES: [&Probe; 12] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -36,6 +37,7 @@ const PROBES: [&Probe; 11] = [
     &people::PROBE,
     &guiding::PROBE,
     &carrying::PROBE,
+    &learning_together::PROBE,
     &environment::PROBE,
 ];
 

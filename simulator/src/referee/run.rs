@@ -30,6 +30,11 @@ impl<'a> Run<'a> {
         Self { world, log, marks, seen, path }
     }
 
+    /// All marks, with their times, ns.
+    pub(super) fn marks(&self) -> &'a [(u64, Milestone)] {
+        self.marks
+    }
+
     /// The last mark for which `test` is true.
     pub(super) fn marked(&self, test: impl Fn(&Milestone) -> bool) -> Option<(u64, Milestone)> {
         self.marks.iter().rev().find(|(_, m)| test(m)).copied()

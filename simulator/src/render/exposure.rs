@@ -8,7 +8,7 @@ use std::ops::Range;
 use nalgebra::{Isometry3, Point3, UnitQuaternion};
 
 use super::raster::Canvas;
-use super::scene::{Motion, Viewpoint, VisibleScene};
+use super::scene::{ExposureMotion, Viewpoint, VisibleScene};
 use super::shading::Light;
 use super::shadow::Shadow;
 use super::{Rendering, draw_shape, faces, nearest_first};
@@ -37,7 +37,7 @@ pub(super) struct Exposure<'a> {
     rows: Range<usize>,
 }
 
-impl Motion {
+impl ExposureMotion {
     /// Whether nothing moves.
     pub(super) fn is_none(&self) -> bool {
         *self == Self::default()
@@ -62,7 +62,7 @@ impl Motion {
 }
 
 impl VisibleScene {
-    fn motion(&self, shape: usize) -> Motion {
+    fn motion(&self, shape: usize) -> ExposureMotion {
         self.motions.get(shape).copied().unwrap_or_default()
     }
 }
@@ -87,7 +87,7 @@ impl<'a> Exposure<'a> {
             };
         }
         if room {
-            let Motion { shift, turn } = viewpoint.motion;
+            let ExposureMotion { shift, turn } = viewpoint.motion;
             let moved = (turn.norm() + shift.norm() / ROOM) * viewpoint.camera.focal;
             exposure.room = Some(moved);
             if moved > VISIBLE {

@@ -31,7 +31,7 @@ use exposure::Exposure;
 pub use noise::SensorNoise;
 use raster::Canvas;
 pub use scene::{
-    Background, Bump, DirtTexture, Motion, Rendering, Shape, Viewpoint, VisibleForm, VisibleScene,
+    Background, Bump, DirtTexture, ExposureMotion, Rendering, Shape, Viewpoint, VisibleForm, VisibleScene,
 };
 use shading::{Light, Shades};
 use shadow::Shadow;

@@ -102,7 +102,7 @@ pub struct Background {
 
 /// How a thing moves while the shutter is open, in the scene: by the same in each part of the exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Motion {
+pub struct ExposureMotion {
     /// Of its frame's origin, m.
     pub shift: Vector3<f64>,
     /// Rotation vector, rad.
@@ -115,7 +115,7 @@ pub struct VisibleScene {
     /// The solids, in any order.
     pub shapes: Vec<Shape>,
     /// How each of them moves; those for which there is none stand still.
-    pub motions: Vec<Motion>,
+    pub motions: Vec<ExposureMotion>,
     /// The room.
     pub background: Background,
     /// The direction towards the light, of any length; zero means light from all directions.
@@ -128,7 +128,7 @@ pub struct Viewpoint {
     /// The camera's pose in the middle of the exposure.
     pub scene_from_camera: Isometry3<f64>,
     /// How it moves.
-    pub motion: Motion,
+    pub motion: ExposureMotion,
     /// Its intrinsics; pixel centres are at whole coordinates.
     pub camera: PinholeCamera,
 }
@@ -228,7 +228,7 @@ impl Viewpoint {
         let x = z.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         let axes = nalgebra::Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]);
         let scene_from_camera = Isometry3::from_parts(eye.into(), axes.into());
-        Self { scene_from_camera, motion: Motion::default(), camera }
+        Self { scene_from_camera, motion: ExposureMotion::default(), camera }
     }
 
     /// The same camera `baseline` m to the right, parallel: the other eye of a stereo pair.
@@ -236,7 +236,8 @@ impl Viewpoint {
         let shift = nalgebra::Translation3::new(baseline, 0.0, 0.0);
         let scene_from_camera = self.scene_from_camera * shift;
         let lever = self.scene_from_camera.rotation * shift.vector;
-        let motion = Motion { shift: self.motion.shift + self.motion.turn.cross(&lever), ..self.motion };
+        let motion =
+            ExposureMotion { shift: self.motion.shift + self.motion.turn.cross(&lever), ..self.motion };
         Self { scene_from_camera, motion, camera: self.camera }
     }
 }

@@ -381,7 +381,7 @@ fn panels(shift: Vector3<f64>) -> VisibleScene {
         shape(VisibleForm::Box { half }, Isometry3::translation(0.0, y, 0.0), color)
     };
     let mut scene = scene(vec![panel(0.2, 1.01, RED), panel(9.0, 3.01, GREEN)]);
-    scene.motions = vec![Motion { shift, turn: Vector3::zeros() }];
+    scene.motions = vec![ExposureMotion { shift, turn: Vector3::zeros() }];
     scene
 }
 
@@ -420,7 +420,7 @@ fn what_moves_is_smeared_over_its_way_and_what_stands_is_not() {
 
 #[test]
 fn a_camera_that_turns_smears_everything_but_what_turns_with_it() {
-    let turning = Motion { shift: Vector3::zeros(), turn: Vector3::z() * (8.0 / CAMERA.focal) };
+    let turning = ExposureMotion { shift: Vector3::zeros(), turn: Vector3::z() * (8.0 / CAMERA.focal) };
     let viewpoint = Viewpoint { motion: turning, ..ahead() };
     let still = panels(Vector3::zeros());
     let (sharp, smeared) = (render(&still, &ahead()), render(&still, &viewpoint));
@@ -432,7 +432,8 @@ fn a_camera_that_turns_smears_everything_but_what_turns_with_it() {
     // A scene that turns about the camera as the camera does stands still in its picture, but for the room.
     let mut carried = still;
     let levers = carried.shapes.iter().map(|shape| shape.scene_from_shape.translation.vector);
-    carried.motions = levers.map(|lever| Motion { shift: turning.turn.cross(&lever), ..turning }).collect();
+    carried.motions =
+        levers.map(|lever| ExposureMotion { shift: turning.turn.cross(&lever), ..turning }).collect();
     let seen = render(&carried, &viewpoint);
     assert_eq!(mixed(&shares(&seen, &sharp, 120)), 0);
 }

@@ -232,7 +232,7 @@ fn frame_of(value: &Value) -> Option<&Frame> {
 mod tests {
     use armarium_memoryx::{Commit, MemoryLimits, WORLD, WorkingMemory, agent_pose_update};
     use armarium_values::Pose;
-    use nalgebra::{Isometry3, Vector3};
+    use nalgebra::Isometry3;
 
     use super::*;
 
@@ -249,8 +249,7 @@ mod tests {
     }
 
     fn cups() -> [ObservedPattern; 1] {
-        let pattern = "ObjectInstances/*/cup*".parse().unwrap();
-        [ObservedPattern { pattern, best: true, all: true }]
+        [ObservedPattern { pattern: CUPS.parse().unwrap(), best: true, all: true }]
     }
 
     fn id(name: &str) -> EntityId {
@@ -260,10 +259,7 @@ mod tests {
     /// A cup that was seen at `seen_s`.
     fn cup(name: &str, confidence: f64, seen_s: u64) -> Commit {
         let pose = Pose::new(Frame(WORLD.to_owned()), &Isometry3::translation(1.0, 2.0, 3.0));
-        let attributes = BTreeMap::from([
-            ("class".to_owned(), Value::from("cup")),
-            ("pose".to_owned(), Value::Pose(pose)),
-        ]);
+        let attributes = [("class", Value::from("cup")), ("pose", Value::Pose(pose))];
         Commit::new(id(name), seen_s * 1_000_000_000, attributes).with_confidence(confidence)
     }
 
@@ -271,18 +267,26 @@ mod tests {
         Commit::removal(id(name), 9_000_000_000)
     }
 
-    /// The id of the best match, its age in s, and how many match.
+    const CUPS: &str = "ObjectInstances/*/cup*";
+
+    /// All matches, the best first.
+    fn all(channels: &Channels) -> Vec<Value> {
+        let all = channels.newest("all ObjectInstances/*/cup*").expect("they are observed");
+        all.value.as_list().expect("a list").to_vec()
+    }
+
+    /// The name in the id of a match.
+    fn name(id: &Value) -> Option<String> {
+        Some(id.as_str()?.rsplit('/').next()?.to_owned())
+    }
+
+    /// The name of the best match, its age in s, and how many match.
     async fn seen(channels: &Channels) -> (Option<String>, Option<u64>, usize) {
         // The tasks take what has changed.
         tokio::time::sleep(Duration::from_millis(1)).await;
-        let best = channels.field("ObjectInstances/*/cup*", &["id".to_owned()]);
-        let all = channels.newest("all ObjectInstances/*/cup*").map(|sample| sample.value);
-        let count = match all {
-            Some(Value::List(all)) => all.len(),
-            _ => usize::MAX,
-        };
-        let age = channels.age("ObjectInstances/*/cup*").map(|age| age.as_secs());
-        (best.and_then(|id| Some(id.as_str()?.rsplit('/').next()?.to_owned())), age, count)
+        let best = channels.field(CUPS, &["id".to_owned()]);
+        let age = channels.age(CUPS).map(|age| age.as_secs());
+        (best.as_ref().and_then(name), age, all(channels).len())
     }
 
     fn is(name: &str, age: u64, count: usize) -> (Option<String>, Option<u64>, usize) {
@@ -300,11 +304,8 @@ mod tests {
         memory.commit_now(vec![removal("cup3"), cup("cup2", 0.2, 9)]).unwrap();
         assert_eq!(seen(&channels).await, is("cup1", 6, 2));
         memory.commit_now(vec![removal("cup1"), removal("cup2")]).unwrap();
-        assert_eq!(
-            seen(&channels).await,
-            (None, Some(6), 0),
-            "what is removed is absent again, and its age goes on"
-        );
+        let absent = (None, Some(6), 0);
+        assert_eq!(seen(&channels).await, absent, "what is removed is absent again, and its age goes on");
         memory.commit_now(vec![cup("cup1", 0.5, 10)]).unwrap();
         assert_eq!(seen(&channels).await, is("cup1", 0, 1));
         drop(tasks);
@@ -319,15 +320,11 @@ mod tests {
         let many = |from: u32, to: u32| (from..to).map(|n| cup(&format!("cup{n}"), f64::from(n) / 1000.0, 1));
         memory.commit_now(many(0, 150).collect()).unwrap();
         assert_eq!(seen(&channels).await, is("cup149", 9, MAX_MATCHES));
-        let last = |channels: &Channels| match channels.newest("all ObjectInstances/*/cup*").map(|s| s.value)
-        {
-            Some(Value::List(all)) => all.last().and_then(|cup| cup.get("id")?.as_str().map(str::to_owned)),
-            _ => None,
-        };
-        assert_eq!(last(&channels).as_deref(), Some("ObjectInstances/bob/cup50"));
+        let last = |channels: &Channels| all(channels).last().and_then(|cup| name(cup.get("id")?));
+        assert_eq!(last(&channels).as_deref(), Some("cup50"));
         memory.commit_now(vec![removal("cup149"), cup("cup148", 0.0, 2)]).unwrap();
         assert_eq!(seen(&channels).await, is("cup147", 9, MAX_MATCHES));
-        assert_eq!(last(&channels).as_deref(), Some("ObjectInstances/bob/cup48"), "they are read again");
+        assert_eq!(last(&channels).as_deref(), Some("cup48"), "they are read again");
         memory.commit_now((0..145).map(|n| removal(&format!("cup{n}"))).collect()).unwrap();
         assert_eq!(seen(&channels).await, is("cup147", 9, 4));
     }
@@ -348,14 +345,12 @@ mod tests {
         let (memory, channels) = observed(MemoryLimits::default());
         memory.commit_now(vec![cup("cup1", 0.5, 4)]).unwrap();
         let _tasks = channels.observe(&cups()).await.unwrap();
-        let at =
-            |channels: &Channels| match channels.field("ObjectInstances/*/cup*", &["position".to_owned()]) {
-                Some(Value::Vector(vector)) => (vector.frame.0, vector.components),
-                other => panic!("{other:?}"),
-            };
+        let at = |channels: &Channels| match channels.field(CUPS, &["position".to_owned()]) {
+            Some(Value::Vector(vector)) => (vector.frame.0, vector.components),
+            other => panic!("{other:?}"),
+        };
         assert_eq!(at(&channels), (WORLD.into(), [1.0, 2.0, 3.0]));
-        let stands =
-            Isometry3::from_parts(Vector3::new(1.0, 0.0, 0.0).into(), nalgebra::UnitQuaternion::identity());
+        let stands = Isometry3::translation(1.0, 0.0, 0.0);
         memory.commit_now(vec![agent_pose_update("bob", &stands).unwrap()]).unwrap();
         seen(&channels).await;
         assert_eq!(at(&channels), ("root".into(), [0.0, 2.0, 3.0]));

@@ -11,13 +11,11 @@ use armarium_values::Value;
 use nalgebra::{Point3, Vector3};
 
 use crate::arm::{force_at, sensor_of, tcp_of};
-use crate::equipment::Equipment;
+use crate::equipment::{Equipment, running_motion};
 use crate::inputs::as_vector;
 
 /// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
 const DECIMATION: u32 = 5;
-/// A motion that was published longer ago does not run any more, s.
-const FRESH_S: f64 = 0.1;
 
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
@@ -44,9 +42,8 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
         let force = force_at(sensor, &sample);
         // Who wipes knows the surface's normal; without a motion nothing is wiped.
-        let motion = channels.newest("motion").filter(|s| s.at.elapsed().as_secs_f64() < FRESH_S);
-        let normal =
-            motion.and_then(|s| s.value.get("normal").and_then(as_vector)).unwrap_or_else(Vector3::z);
+        let normal = running_motion(&channels).and_then(|motion| motion.get("normal").and_then(as_vector));
+        let normal = normal.unwrap_or_else(Vector3::z);
         let Ok(contact) = ContactFrame::new(&normal) else { continue };
         let pressing = contact.pressing(&force);
         let push = friction.step(dt, pressing, contact.along(&velocity), contact.along(&force));

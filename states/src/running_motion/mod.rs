@@ -117,10 +117,8 @@ impl RunningMotions {
     /// # Errors
     /// When no skill in this process executes it.
     pub(crate) fn edit(&self, id: &EntityId) -> Result<MotionEditor, Failure> {
-        let shared = self.0.lock().get(id).cloned().unwrap_or_default();
-        let view = shared.upgrade().ok_or_else(not_running)?.state.lock().view.clone();
-        let edit = MotionEdit::none(&view);
-        Ok(MotionEditor { shared, weights: view.weights().to_vec(), centre: view.centre().to_vec(), edit })
+        let editor = MotionEditor { shared: self.0.lock().get(id).cloned().unwrap_or_default() };
+        editor.view().map(|_| editor)
     }
 }
 
@@ -231,10 +229,6 @@ impl Drop for MotionOwner {
 #[derive(Debug)]
 pub(crate) struct MotionEditor {
     shared: Weak<SharedMotion>,
-    /// Buffers: the view before a change, and the change.
-    weights: Vec<f64>,
-    centre: Vec<f64>,
-    edit: MotionEdit,
 }
 
 impl MotionEditor {
@@ -254,7 +248,7 @@ impl MotionEditor {
     /// # Errors
     /// When the motion no longer runs, or the change is refused.
     pub(crate) fn edit<T>(
-        &mut self,
+        &self,
         change: impl FnOnce(&mut PeriodicDmp, f64) -> Result<T, MotionError>,
     ) -> Result<T, Failure> {
         let shared = self.shared.upgrade().ok_or_else(not_running)?;
@@ -262,15 +256,12 @@ impl MotionEditor {
         if state.ended {
             return Err(not_running());
         }
-        self.weights.copy_from_slice(state.view.weights());
-        self.centre.copy_from_slice(state.view.centre());
-        let omega = state.omega;
+        let (before, omega) = (state.view.clone(), state.omega);
         let result = change(&mut state.view, omega).map_err(failed)?;
-        self.edit.clear();
-        self.edit.add_difference(&self.weights, &self.centre, &state.view).map_err(failed)?;
+        let edit = MotionEdit::between(&before, &state.view).map_err(failed)?;
         // The view contains the change already; the owner applies it before its next step.
-        if !self.edit.is_empty() {
-            state.pending.add(&self.edit).map_err(failed)?;
+        if !edit.is_empty() {
+            state.pending.add(&edit).map_err(failed)?;
             state.unwritten = true;
             shared.edited.notify_one();
         }

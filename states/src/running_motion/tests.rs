@@ -8,8 +8,8 @@ use nalgebra::Vector3;
 
 use super::*;
 
-/// A circle of 0.1 m in memory.
-async fn memory_with_motion() -> (Arc<dyn Memory>, EntityId) {
+/// A circle of 0.1 m in memory, and nothing that runs.
+async fn memory_with_motion() -> (Arc<dyn Memory>, EntityId, RunningMotions) {
     let mut circle = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
     let sample = |k: u32| {
         let phase = TAU * f64::from(k) / 200.0;
@@ -21,7 +21,7 @@ async fn memory_with_motion() -> (Arc<dyn Memory>, EntityId) {
     let id = motions::address("bob", "wiping").unwrap();
     let motion = Motion::in_space("wiping", "root", 0.5, circle).unwrap();
     motions::store(&*memory, &id, &motion, 0).await.unwrap();
-    (memory, id)
+    (memory, id, RunningMotions::default())
 }
 
 async fn latest(memory: &Arc<dyn Memory>, id: &EntityId) -> Motion {
@@ -40,14 +40,13 @@ async fn write_elsewhere(memory: &Arc<dyn Memory>, id: &EntityId, difference: f6
     memory.commit(vec![commit]).await.unwrap();
 }
 
-fn add(editor: &mut MotionEditor, weight: usize, difference: f64) {
-    editor
-        .edit(|motion, _| {
-            let mut weights = motion.weights().to_vec();
-            weights[weight] += difference;
-            motion.set_weights(&weights)
-        })
-        .unwrap();
+fn add(editor: &MotionEditor, weight: usize, difference: f64) {
+    let added = editor.edit(|motion, _| {
+        let mut weights = motion.weights().to_vec();
+        weights[weight] += difference;
+        motion.set_weights(&weights)
+    });
+    added.unwrap();
 }
 
 fn near(motion: &PeriodicDmp, weight: usize, before: &PeriodicDmp, difference: f64) {
@@ -57,16 +56,15 @@ fn near(motion: &PeriodicDmp, weight: usize, before: &PeriodicDmp, difference: f
 
 #[tokio::test(start_paused = true)]
 async fn coaches_that_run_in_parallel_lose_nothing_and_memory_gets_it_all() {
-    let (memory, id) = memory_with_motion().await;
+    let (memory, id, running) = memory_with_motion().await;
     let before = latest(&memory, &id).await;
-    let running = RunningMotions::default();
     let mut owner = running.own(&memory, &id).await.unwrap();
     let coach = |weight: usize| {
-        let mut editor = running.edit(&id).unwrap();
+        let editor = running.edit(&id).unwrap();
         tokio::spawn(async move {
             for _ in 0..500 {
-                add(&mut editor, weight, 1e-3);
-                add(&mut editor, 5, 1e-3);
+                add(&editor, weight, 1e-3);
+                add(&editor, 5, 1e-3);
                 tokio::time::sleep(Duration::from_micros(700)).await;
             }
         })
@@ -89,18 +87,17 @@ async fn coaches_that_run_in_parallel_lose_nothing_and_memory_gets_it_all() {
     let ran = owner.dmp.clone();
     owner.finish(None, None).await.unwrap();
     let kept = latest(&memory, &id).await;
-    let differ = |(a, b): (&f64, &f64)| (a - b).abs();
-    assert!(kept.primitive().weights().iter().zip(ran.weights()).map(differ).fold(0.0, f64::max) < 1e-12);
+    let same = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
+    assert!(kept.primitive().weights().iter().zip(ran.weights()).all(same));
     assert!(kept.version() > before.version() + 2);
 }
 
 #[tokio::test(start_paused = true)]
 async fn an_edit_is_seen_at_once_and_is_executed_in_the_next_step() {
-    let (memory, id) = memory_with_motion().await;
-    let running = RunningMotions::default();
+    let (memory, id, running) = memory_with_motion().await;
     let mut owner = running.own(&memory, &id).await.unwrap();
     owner.start_on_path(0.3).unwrap();
-    let mut one = running.edit(&id).unwrap();
+    let one = running.edit(&id).unwrap();
     let other = running.edit(&id).unwrap();
     owner.step(1e-3, 3.0, 0).unwrap();
     let mut coach = CoachedMotion::new(CoachConfig::default(), &one.view().unwrap()).unwrap();
@@ -115,8 +112,7 @@ async fn an_edit_is_seen_at_once_and_is_executed_in_the_next_step() {
 
 #[tokio::test(start_paused = true)]
 async fn what_was_learned_of_the_surface_is_kept() {
-    let (memory, id) = memory_with_motion().await;
-    let running = RunningMotions::default();
+    let (memory, id, running) = memory_with_motion().await;
     let mut owner = running.own(&memory, &id).await.unwrap();
     owner.set_height(0.75).unwrap();
     let surface = SurfaceCorrection::new(vec![0.001; 36], 90.0, [0.0, 0.0, 1.0]).unwrap();
@@ -132,13 +128,12 @@ async fn what_was_learned_of_the_surface_is_kept() {
 
 #[tokio::test(start_paused = true)]
 async fn a_motion_has_one_owner_and_none_after_it_has_ended() {
-    let (memory, id) = memory_with_motion().await;
-    let running = RunningMotions::default();
+    let (memory, id, running) = memory_with_motion().await;
     assert!(running.edit(&id).is_err());
     let owner = running.own(&memory, &id).await.unwrap();
     let second = running.own(&memory, &id).await.err().unwrap();
     assert!(second.reason.contains("already being executed"), "{}", second.reason);
-    let mut editor = running.edit(&id).unwrap();
+    let editor = running.edit(&id).unwrap();
     owner.finish(None, None).await.unwrap();
     assert!(editor.edit(|_, _| Ok(())).is_err());
     // An owner that is dropped without `finish` releases the motion as well.
@@ -148,8 +143,7 @@ async fn a_motion_has_one_owner_and_none_after_it_has_ended() {
 
 #[tokio::test(start_paused = true)]
 async fn a_version_that_cannot_be_executed_ends_the_run() {
-    let (memory, id) = memory_with_motion().await;
-    let running = RunningMotions::default();
+    let (memory, id, running) = memory_with_motion().await;
     let mut owner = running.own(&memory, &id).await.unwrap();
     let other =
         PeriodicDmp::new(PeriodicDmpConfig { kernels: 30, ..PeriodicDmpConfig::with_dofs(3) }).unwrap();

@@ -4,8 +4,6 @@
 //! The object's pose in the hand is computed from the poses of object and hand when the hand closed. `VerifyGrasp`
 //! checks whether it is held at all.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::Type;
 
@@ -16,7 +14,7 @@ use crate::held;
 use crate::inputs::{Inputs, reference};
 use crate::motions::failed;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "AttachObject",
         "Says in memory that the hand holds an object, which moves with it from now on.",

@@ -4,19 +4,16 @@
 //! and computed for the camera pose that is known so far. Both point sets give what is left of its error (least squares, Arun et
 //! al.).
 
-use std::sync::Arc;
-
-use armarium_motion::{StraightLine, rigid_fit};
+use armarium_motion::rigid_fit;
 use armarium_robot::Marker;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
-use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings, MarkerStep};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, marker};
-use crate::hand_eye::HandEye;
+use crate::hand_eye::{load_mounting, store_mounting};
 use crate::inputs::{as_point, seen_at};
 use crate::motions::failed;
 use crate::surface::from_level;
@@ -39,7 +36,7 @@ const GOOD: f64 = 0.004;
 /// Frames that are averaged at each place.
 const FRAMES: usize = 5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "CalibrateHandEye",
         "Looks at its own hand in several places and corrects where the cameras look.",
@@ -64,10 +61,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
-    let (works, hand) = (
-        workspace(model, arm.limb(), &equipment.robot.sensed().borrow().position)?,
-        hand(model, arm.limb())?,
-    );
+    let (works, hand) =
+        (workspace(model, &arm.limb, &equipment.robot.sensed().borrow().position)?, hand(model, &arm.limb)?);
     let facing = from_level(&hand.grasps_from(&works.rotation));
     let center = match context.value("center")? {
         center if center.as_list().is_some_and(<[Value]>::is_empty) => {
@@ -75,17 +70,17 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
         center => as_point(center).ok_or_else(|| Failure::new("`center` needs three numbers"))?,
     };
-    let yaw = model.side_of(arm.limb()) * context.number("yaw")?;
+    let yaw = model.side_of(&arm.limb) * context.number("yaw")?;
     let palm = facing * hand.palm_down(yaw);
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let marker = marker(model, arm.limb())?;
+    let marker = marker(model, &arm.limb)?;
     // The mounting through which everything is seen now.
-    let known = HandEye::load(&*equipment.memory, &equipment.agent).await?;
+    let known = load_mounting(&*equipment.memory, &equipment.agent).await?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
         let tcp = Isometry3::from_parts((center.coords + facing * Vector3::from(place)).into(), palm);
-        go(&mut arm, &mut senses, tcp).await?;
+        arm.go(&mut senses, tcp, 0.2, |_| Ok(())).await?;
         if let Some((is, should)) = look(&equipment, &marker, &mut arm, &mut senses).await? {
             seen.push(is);
             expected.push(should);
@@ -114,21 +109,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let stamp_ns = senses.newest().stamp_ns;
-    known
-        .refined(&fit.target_from_source)
-        .store(&*equipment.memory, &equipment.agent, fit.rms, stamp_ns)
-        .await?;
+    let mounting = known * fit.target_from_source;
+    store_mounting(&*equipment.memory, &equipment.agent, &mounting, fit.rms, stamp_ns).await?;
     Ok(Outcome::success().with("residual", fit.rms))
-}
-
-async fn go(arm: &mut LeasedArm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(), Failure> {
-    let mut line = StraightLine::new(arm.tcp(&senses.newest()), tcp, 0.2).map_err(failed)?;
-    while !line.rested(0.3) {
-        let (sample, dt) = senses.next().await?;
-        let point = line.step(dt).map_err(failed)?;
-        arm.track(&sample, &point.pose, point.linear, point.angular)?;
-    }
-    Ok(())
 }
 
 /// The class under which the processor observes the marker.
@@ -142,9 +125,7 @@ async fn look(
     arm: &mut LeasedArm,
     senses: &mut Senses,
 ) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
-    let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
-    let tracking = ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
-    let mut sight = equipment.look(MarkerStep::new(tracking, MARKER));
+    let mut sight = equipment.look(equipment.track(marker.color, Some(marker.diameter), MARKER));
     let (mut seen, mut expected, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
     while count < FRAMES && waited < 1.5 {
         let (sample, dt) = senses.next().await?;

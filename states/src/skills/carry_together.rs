@@ -1,7 +1,5 @@
 //! `CarryTogether`: both hands carry what is between them to another place.
 
-use std::sync::Arc;
-
 use armarium_motion::{LoadStatus, SharedLoad, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -18,7 +16,7 @@ const LOST: &str = "lost";
 /// How long the load rests at the end, s, over which its weight is averaged.
 const RESTS: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "CarryTogether",
         "Carries what both hands hold between them on a straight line, without letting it slip or crushing it.",

@@ -1,7 +1,5 @@
 //! `CloseHand`: closes the hand until an object stops both pads.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
@@ -12,7 +10,7 @@ use crate::hand::Hand;
 /// The pads count as stopped below this speed, m/s.
 const STOPPED: f64 = 0.002;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "CloseHand",
         "Closes the hand until both pads are stopped by what is between them.",

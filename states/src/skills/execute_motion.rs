@@ -3,7 +3,6 @@
 //! until it is cancelled, and then stores the changed motion in memory, with the learned surface.
 
 use std::convert::Infallible;
-use std::sync::Arc;
 
 use armarium_motion::{SlowDown, SurfaceAdaptation, SurfaceConfig};
 use armarium_runtime::channels::Channels;
@@ -20,7 +19,7 @@ const ANNOUNCEMENT: &str = "I am wiping now.";
 /// A detection of the coach's hand older than this does not slow the motion any more, s.
 const MAX_DETECTION_AGE: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ExecuteMotion",
         "Wipes with a motion that was fitted to the surface, until it is cancelled.",
@@ -78,7 +77,7 @@ async fn wipe(
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
         let pace = surface.pace().min(slow_down.factor(distance_of_hand(&context.channels)));
         let height = Height { over: command.offset, rate: command.velocity };
-        omega = wiper.step(&sample, dt, pace, height)?.omega;
+        omega = wiper.step(&sample, dt, pace, height)?;
     }
 }
 

@@ -2,8 +2,6 @@
 //! that keeps the desired force. The robot does not know the surface's height, tilt or bumps beforehand. If the
 //! motion was fitted before, learning starts from the stored surface.
 
-use std::sync::Arc;
-
 use armarium_motion::{
     MotionError, SurfaceAdaptation, SurfaceConfig, SurfaceCorrection, Touchdown, TouchdownConfig,
     TouchdownStatus,
@@ -13,7 +11,7 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::{Senses, moves_the_arm, sensor_of};
 use crate::equipment::{self, Equipment};
-use crate::inputs::reference;
+use crate::inputs::{Inputs, reference};
 use crate::motions::failed;
 use crate::reach::required_speed;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
@@ -23,7 +21,7 @@ const MIN_CYCLES: u32 = 4;
 /// How far the surface may be below the tool's height at the grasp, m.
 const MAX_DEPTH: f64 = 0.05;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ForceAdaptation",
         "Lowers the tool until it touches, then learns the motion towards the surface that keeps the force.",
@@ -67,23 +65,16 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let rise = wiper.rise_from(&tool);
     let above = context.number("hover")? + rise;
     wiper.approach(&mut senses, above, 0.2).await?;
-    let sensor = sensor_of(wiper.arm.limb())?;
+    let sensor = sensor_of(&wiper.arm.limb)?;
     equipment.robot.tare(&equipment.robot.model().wrenches()[sensor].name).map_err(failed)?;
     let fitted = fit(&context, &mut wiper, &mut senses, (force, rise)).await;
-    let reference = reference("Motion", wiper.id());
-    let surface = match fitted {
-        Ok(surface) => {
-            wiper.finish(Some(surface.correction()), Some("force adaptation")).await?;
-            surface
-        }
-        Err(failure) => {
-            // Changes by coaches meanwhile are kept.
-            wiper.finish(None, None).await?;
-            return Err(failure);
-        }
-    };
+    // Changes by coaches meanwhile are kept even after a failure.
+    let learned = fitted.as_ref().ok().map(|surface| (surface.correction(), "force adaptation"));
+    let (correction, learned_from) = learned.unzip();
+    wiper.finish(correction, learned_from).await?;
+    let surface = fitted?;
     Ok(Outcome::success()
-        .with("motion", reference)
+        .with("motion", reference("Motion", &context.entity("motion")?))
         .with("cycles", i64::from(surface.cycles()))
         .with("rms", surface.rms().last().copied().unwrap_or(f64::NAN))
         .with("stiffness", surface.stiffness()))
@@ -180,7 +171,7 @@ async fn learn(
         let settled = surface.cycles() >= MIN_CYCLES && surface.settled(tolerance);
         let pace = if settled { 0.0 } else { surface.pace() };
         let height = Height { over: over + command.offset, rate: command.velocity };
-        omega = wiper.step(&sample, dt, pace, height)?.omega;
+        omega = wiper.step(&sample, dt, pace, height)?;
         if settled && wiper.pace() == 0.0 {
             return Ok(surface);
         }

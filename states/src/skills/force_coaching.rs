@@ -1,9 +1,7 @@
 //! `ForceCoaching`: the coach's pushes on the hand change the running motion at the phases where they act.
 
-use std::sync::Arc;
-
 use armarium_motion::CoachInput;
-use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::Vector3;
 
@@ -11,7 +9,7 @@ use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest =
         SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
             .input("motion", Type::motion(), "The running motion.")
@@ -33,7 +31,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let hold = context.number("hold")?;
     let mut coaching = Coaching::begin(&equipment, &context)?;
     let _wrist_is_wanted = context.channels.demand("wrist");
-    let mut displacement = 0.0_f64;
     let mut pushed_for = 0.0;
     loop {
         let dt = coaching.next().await?;
@@ -41,12 +38,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let force = push.unwrap_or_else(Vector3::zeros);
         pushed_for = if force.norm() > threshold { pushed_for + dt } else { 0.0 };
         let input = if pushed_for > hold { CoachInput::Push { force } } else { CoachInput::None };
-        let report = coaching.apply(dt, input)?;
-        if report.active {
-            displacement = displacement.max(report.displacement);
-        }
-        if coaching.idle() > patience {
-            return Ok(Outcome::success().with("displacement", displacement));
+        coaching.apply(dt, input)?;
+        if let Some(outcome) = coaching.ended(patience) {
+            return Ok(outcome);
         }
     }
 }

@@ -1,15 +1,13 @@
 //! `ForceGuiding`: the hand follows the force of a person who leads it, until they let go of it. The way that it was led is kept
 //! as a motion.
 
-use std::sync::Arc;
-
 use armarium_motion::{Admittance, AdmittanceConfig, GuidingStatus};
 use armarium_robot::{Fault, Platform};
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Vector3, Vector6};
 
-use crate::arm::{LeasedArm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, chosen, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::follow::FollowingPlatform;
 use crate::inputs::reference;
@@ -27,7 +25,7 @@ const LED: f64 = 0.02;
 /// A shove is over this share of the force limit, so that the law stands before the guard gives way.
 const SHOVE: f64 = 0.75;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ForceGuiding",
         "Lets a person lead the arm's hand by the force on it, until they let go. Tare before, with the hand free.",
@@ -53,7 +51,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (patience, released) = (context.number("patience")?, context.number("released")?);
     let alone = context.text("moves")? == ARM;
     let mut arm = if alone {
-        LeasedArm::take_alone(&equipment, &context).await?
+        LeasedArm::take_limb(&equipment, &context, chosen(&equipment, &context)?, &[]).await?
     } else {
         LeasedArm::take(&equipment, &context, &[]).await?
     };
@@ -61,13 +59,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut platform = match alone {
         true => None,
-        false => FollowingPlatform::take(&equipment, &context, arm.limb(), &senses.newest())?,
+        false => FollowingPlatform::take(&equipment, &context, &arm.limb, &senses.newest())?,
     };
     let mut law = Admittance::new(config(&equipment, &context)).map_err(failed)?;
     let mut led = Led::default();
     loop {
         let (sample, dt) = senses.next().await?;
-        if let Some(Fault::Force { force_n, .. }) = arm.leases().fault() {
+        if let Some(Fault::Force { force_n, .. }) = arm.leases.fault() {
             return Ok(led.outcome(SHOVED, force_n));
         }
         let pose = arm.tcp(&sample);

@@ -1,7 +1,5 @@
 //! `ImitateMotion`: performs a learned motion in free space, over the table.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
@@ -17,7 +15,7 @@ const OVER: &str = "imitation.over";
 /// The motion counts as steady after this share of a period at full frequency.
 const SETTLING: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest =
         SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
             .input("motion", Type::motion(), "The motion.")
@@ -51,11 +49,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (mut turned, mut pace) = (0.0, 1.0);
     loop {
         let (sample, dt) = senses.next().await?;
-        let progress = wiper.step(&sample, dt, pace, Height { over, rate: 0.0 })?;
+        let omega = wiper.step(&sample, dt, pace, Height { over, rate: 0.0 })?;
         // Periods are counted from the moment at which the motion has its full frequency.
         let before = turned;
         if wiper.pace() >= 1.0 {
-            turned += progress.omega * dt / std::f64::consts::TAU;
+            turned += omega * dt / std::f64::consts::TAU;
         }
         if before < SETTLING && turned >= SETTLING {
             context.events.raise(STEADY, Value::Null);

@@ -2,8 +2,6 @@
 //!
 //! The long-term store follows the memory's `Motions` segment; this skill does not access it.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::Type;
 
@@ -11,7 +9,7 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, reference};
 use crate::motions;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest =
         SkillManifest::new("KeepMotion", "Keeps the newest version of a motion in memory under a name.")
             .input("motion", Type::motion(), "The motion.")

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use armarium_memoryx::updater::Updater;
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Frame, Observation, Type, Vector};
-use armarium_visionx::{BoxModel, ColorModel, ObjectStep};
+use armarium_visionx::{ObjectLocalizer, ObjectStep};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
@@ -19,7 +19,7 @@ use crate::surface::Surface;
 /// Number of good detections that are averaged.
 const DETECTIONS: usize = 5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "LocateObject",
         "Finds an object of prior knowledge in the stereo images and puts it into memory, with the table on which it stands.",
@@ -36,8 +36,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let name = context.text("object")?;
     let timeout = context.number("timeout")?;
     let class = object_class(&*equipment.memory, name).await?;
-    let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
-    let mut sight = equipment.look(ObjectStep::on_a_table(equipment.images.calibration(), model, name));
+    let calibration = equipment.images.calibration();
+    let localizer = ObjectLocalizer::new(calibration, class.size, class.color);
+    let mut sight = equipment.look(ObjectStep::new(localizer, name).with_table(calibration.camera));
     let mut senses = Senses::new(&*equipment.robot, &context);
     let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
     let (mut sights, mut table, mut search) = (Vec::new(), None, None);

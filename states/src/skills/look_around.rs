@@ -1,7 +1,5 @@
 //! `LookAround`: turns the head so that the eyes pass over what is around the robot.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -20,7 +18,7 @@ const STEP: f64 = 0.5;
 const NEAR: f64 = 0.05;
 const LONGEST: f64 = 2.0;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "LookAround",
         "Turns the head from one side to the other and back lower down, so that the eyes pass over what is around the robot.",

@@ -1,7 +1,5 @@
 //! `LookAt`: turns the head until the cameras look at a point.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 use nalgebra::{Point3, Vector3};
@@ -16,7 +14,7 @@ const SPEED: f64 = 1.0;
 /// How long the gaze must rest on the point, s.
 const REST_TIME: f64 = 0.3;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "LookAt",
         "Turns the head until the eyes look at a point; cameras that nothing turns have to have it in view.",

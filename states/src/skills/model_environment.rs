@@ -18,7 +18,7 @@ use crate::places::PLACES;
 /// Changes that are worth writing to memory: of a pose, m and rad, of an edge, m, and of a probability.
 const WORTH: (f64, f64, f64, f64) = (0.003, 0.003, 0.04, 0.1);
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ModelEnvironment",
         "Keeps in memory where tables, shelves, walls and the floor are, as depth shows them, until it is cancelled.",

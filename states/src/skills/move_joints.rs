@@ -1,8 +1,6 @@
 //! `MoveJoints`: position control of the arm and what helps it to a named posture or to joint angles, around what is known to
 //! be in the way.
 
-use std::sync::Arc;
-
 use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -11,7 +9,7 @@ use crate::arm::{ArmLeases, Senses, chosen, moves_the_arm};
 use crate::around::{Around, follow};
 use crate::equipment::{self, Equipment};
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "MoveJoints",
         "Moves the arm and what helps it together to a posture, each joint in a straight line, or around what is known to be in the way.",
@@ -33,7 +31,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tolerance = context.number("tolerance")?;
     let timeout = context.number("timeout")?;
     let arm = chosen(&equipment, &context)?;
-    let leases = ArmLeases::take(&equipment, &context, arm, &[]).await?;
+    let leases = ArmLeases::take(&equipment, &context, arm, (&arm.helped_by, &[])).await?;
     let goal = goal(&equipment, &context, arm)?;
     let model = equipment.robot.model();
     let mut senses = Senses::new(&*equipment.robot, &context);

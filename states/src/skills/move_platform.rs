@@ -18,7 +18,7 @@ const BRAKING: f64 = 0.15;
 /// How long it must rest at its goal, s, and the speed that is rest, m/s and rad/s.
 const REST: (f64, f64) = (0.2, 0.02);
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "MovePlatform",
         "Drives to a place in the root frame, straight and turning on the way, or by a way from where it is.",

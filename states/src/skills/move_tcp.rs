@@ -1,7 +1,5 @@
 //! `MoveTcp`: position control of the arm's TCP along a straight line, or around what is known to be in its way.
 
-use std::sync::Arc;
-
 use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -16,7 +14,7 @@ use crate::motions::failed;
 /// How near each joint comes to the end of a way around before the TCP goes straight to its target, rad.
 const NEAR_THE_GOAL: f64 = 0.02;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest =
         SkillManifest::new("MoveTcp", "Moves the arm's TCP to a pose on a straight line, turning evenly, or around what is known to be in the way.")
             .input("target", Type::Pose, "Pose of the TCP in the root frame.")
@@ -49,7 +47,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[target]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (model, now) = (equipment.robot.model(), senses.newest().position.clone());
-    let around = Around::of(&equipment, arm.limb(), arm.leases(), &now, Some(&target)).await?;
+    let around = Around::of(&equipment, &arm.limb, &arm.leases, &now, Some(&target)).await?;
     if let Some(path) = around.way_to_pose(now, target, speed).await? {
         follow(&mut senses, model, arm.joints(), &path, (NEAR_THE_GOAL, reached.timeout), |velocities| {
             arm.command(velocities)

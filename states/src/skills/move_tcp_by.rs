@@ -1,7 +1,5 @@
 //! `MoveTcpBy`: moves the arm's TCP by an offset, without rotation.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
@@ -10,7 +8,7 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 use crate::skills::move_tcp::{Reached, move_to};
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "MoveTcpBy",
         "Moves the arm's TCP by an offset on a straight line, without turning it.",

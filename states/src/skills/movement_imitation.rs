@@ -4,8 +4,6 @@
 //! oscillator estimates the frequency while a periodic movement primitive learns the motion online. The robot does
 //! not move.
 
-use std::sync::Arc;
-
 use armarium_motion::{
     DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp,
     PeriodicDmpConfig, SegmenterConfig, Swipe,
@@ -14,7 +12,6 @@ use armarium_runtime::skill::{
     Failure, Mark, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult,
 };
 use armarium_values::{Type, Unit};
-use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings, MarkerStep};
 use nalgebra::Point3;
 
 use crate::arm::Senses;
@@ -31,7 +28,7 @@ const POINTS: usize = 200;
 /// A motion was demonstrated inside the workspace if its centre is nearer to the workspace's centre than this, m.
 const MAX_OFFSET: f64 = 0.15;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "MovementImitation",
         "Watches the coach's tool and learns the periodic motion that it shows.",
@@ -49,43 +46,33 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let name = context.text("name")?;
-    let seen = watch(&equipment, &context).await?;
-    let (primitive, frequency_hz) = seen.imitation.result().ok_or_else(|| {
+    let (swipe, imitation, stamp_ns) = watch(&equipment, &context).await?;
+    let (primitive, frequency_hz) = imitation.result().ok_or_else(|| {
         Failure::new(format!(
             "no steady rhythm was found in the demonstration: {:.1} periods were followed, two are needed",
-            seen.imitation.periods()
+            imitation.periods()
         ))
     })?;
-    let placed = place(primitive, frequency_hz, &seen.swipe).map_err(failed)?;
-    tracing::debug!(swipe = ?seen.swipe, learned_centre = ?primitive.centre(), centre = ?placed.centre(), "placed the motion");
+    let placed = place(primitive, frequency_hz, &swipe).map_err(failed)?;
+    tracing::debug!(swipe = ?swipe, learned_centre = ?primitive.centre(), centre = ?placed.centre(), "placed the motion");
     let motion = Motion::in_space(name, "root", frequency_hz, placed)
         .map_err(failed)?
-        .with_learned_from(format!("a demonstration of {:.0} periods", seen.imitation.periods()));
+        .with_learned_from(format!("a demonstration of {:.0} periods", imitation.periods()));
     let id = motions::address(&equipment.agent, name)?;
-    motions::store(&*equipment.memory, &id, &motion, seen.stamp_ns).await?;
+    motions::store(&*equipment.memory, &id, &motion, stamp_ns).await?;
     Ok(Outcome::success().with("motion", reference("Motion", &id)).with("frequency", frequency_hz))
 }
 
-/// What was observed of a demonstration.
-struct ObservedDemonstration {
-    swipe: Swipe,
-    imitation: Imitation,
-    stamp_ns: u64,
-}
-
-async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<ObservedDemonstration, Failure> {
+/// The first swipe of a demonstration, what was learned of its motion, and the robot's time at the end, ns.
+async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<(Swipe, Imitation, u64), Failure> {
     let patience = context.number("patience")?;
     let most_periods = context.number("periods")?;
     let marker = context.text("marker")?;
     let class = object_class(&*equipment.memory, marker).await?;
-    let tracking = ColorMarkerObjectTracking::new(
-        equipment.images.calibration(),
-        MarkerSettings::new(class.color).with_diameter(class.size.iter().sum::<f64>() / 3.0),
-        equipment.seed,
-    );
+    let diameter = class.size.iter().sum::<f64>() / 3.0;
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
     let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
-    let mut sight = equipment.look(MarkerStep::new(tracking, marker));
+    let mut sight = equipment.look(equipment.track(class.color, Some(diameter), marker));
     let mut senses = Senses::new(&*equipment.robot, context);
     equipment.robot.say(REQUEST);
     let (mut last_learned, mut waited) = (None, 0.0);
@@ -113,7 +100,7 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Observed
         let ended = known.stage == DemonstrationStage::Ended || gone(last_learned, time);
         if ended || imitation.periods() >= most_periods {
             let swipe = known.swipe.ok_or_else(|| Failure::new("the demonstration had no first swipe"))?;
-            return Ok(ObservedDemonstration { swipe, imitation, stamp_ns: sample.stamp_ns });
+            return Ok((swipe, imitation, sample.stamp_ns));
         }
     }
 }

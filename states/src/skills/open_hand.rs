@@ -1,7 +1,5 @@
 //! `OpenHand`: opens the hand.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
@@ -11,7 +9,7 @@ use crate::hand::Hand;
 use crate::held::let_go;
 use crate::motions::failed;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new("OpenHand", "Opens the hand and lets go of what it holds.")
         .optional("aperture", Type::quantity(Unit::M), 0.125, "Distance of the finger pads.")
         .optional("timeout", Type::Duration, 5.0, "Longest time it may take.")

@@ -4,7 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use armarium_robot::{Hand, Limb, Model, PoseOptions, solve_pose};
+use armarium_robot::{Hand, LinkId, Model, PoseOptions, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3};
@@ -28,7 +28,7 @@ const MIN_MARGIN: f64 = 0.03;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PlanGrasp",
         "Chooses the pose of the hand for a grasp against the surface on which the object stands, by the arm's margin.",
@@ -38,12 +38,6 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
     .output("pre_pose", Type::Pose, "Pose of the TCP over it.");
     equipment::skill(equipment, names_the_arm(manifest), run)
-}
-
-struct Candidate {
-    score: f64,
-    grasp: Isometry3<f64>,
-    pre: Isometry3<f64>,
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
@@ -63,7 +57,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut random = equipment.random();
     let ready = model.taken_at(model.ready(&arm.name), &equipment.robot.sensed().borrow().position);
     let opening = widest_opening(model, hand);
-    let mut best: Option<Candidate> = None;
+    let (tcp, joints) = (tcp_of(arm)?, model.reaching_joints(&arm.name));
+    let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>)> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
         let across = if quarter % 2 == 0 { length } else { width };
@@ -75,14 +70,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let grasp = tcp_at(hand, &center, &surface.rotation(), hand_yaw);
             let mut pre = grasp;
             pre.translation.vector += surface.normal().scale(height);
-            match candidate((model, arm, &ready), (grasp, pre), misalignment, &mut random)? {
-                Ok(found) if best.as_ref().is_none_or(|b| found.score > b.score) => best = Some(found),
-                Ok(_) => {}
+            match margin((model, &joints, tcp, &ready), (&grasp, &pre), &mut random) {
+                Ok(margin) => {
+                    let score = margin - MISALIGNMENT_COST * misalignment.abs();
+                    if best.is_none_or(|(most, ..)| score > most) {
+                        best = Some((score, grasp, pre));
+                    }
+                }
                 Err(missing) => nearest = nearest.min(missing),
             }
         }
     }
-    let Some(best) = best else {
+    let Some((_, grasp, pre)) = best else {
         if nearest.is_infinite() {
             return Err(Failure::new(format!(
                 "the object `{id}` is {:.0} mm wide; the hand opens to {:.0} mm",
@@ -99,7 +98,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             center.x, center.y, center.z
         )));
     };
-    Ok(Outcome::success().with("grasp_pose", pose_value(&best.grasp)).with("pre_pose", pose_value(&best.pre)))
+    Ok(Outcome::success().with("grasp_pose", pose_value(&grasp)).with("pre_pose", pose_value(&pre)))
 }
 
 /// The largest distance of the finger pads, m.
@@ -114,37 +113,24 @@ fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
     (across + pad_width * sin) / cos
 }
 
-/// A grasp with its score; else its distance from the reachable space, m, which is 0 if only a joint limit is too
+/// A grasp's margin to the joints' limits, rad; else its distance from the reachable space, m, which is 0 if only a joint limit is too
 /// near.
-fn candidate(
-    (model, arm, ready): (&Arc<Model>, &Limb, &[f64]),
-    (grasp, pre): (Isometry3<f64>, Isometry3<f64>),
-    misalignment: f64,
+fn margin(
+    (model, joints, tcp, ready): (&Arc<Model>, &[usize], LinkId, &[f64]),
+    (grasp, pre): (&Isometry3<f64>, &Isometry3<f64>),
     random: &mut ChaCha8Rng,
-) -> Result<Result<Candidate, f64>, Failure> {
-    let tcp = tcp_of(arm)?;
+) -> Result<f64, f64> {
     let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
-    let joints = &model.reaching_joints(&arm.name);
     let mut solve = |target: &Isometry3<f64>, seed: &[f64]| {
         solve_pose(model, tcp, joints, target, seed, &options, random).map_err(|e| e.position_error_m)
     };
-    let solved = solve(&grasp, ready).and_then(|at_grasp| {
-        let at_pre = solve(&pre, &at_grasp)?;
-        Ok((at_grasp, at_pre))
-    });
-    let (at_grasp, at_pre) = match solved {
-        Ok(solved) => solved,
-        Err(missing) => return Ok(Err(missing)),
-    };
+    let at_grasp = solve(grasp, ready)?;
+    let at_pre = solve(pre, &at_grasp)?;
     let margin_of =
         |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
     let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
     let margin = margins.fold(f64::INFINITY, f64::min);
-    if margin < MIN_MARGIN {
-        return Ok(Err(0.0));
-    }
-    let score = margin - MISALIGNMENT_COST * misalignment.abs();
-    Ok(Ok(Candidate { score, grasp, pre }))
+    if margin < MIN_MARGIN { Err(0.0) } else { Ok(margin) }
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! `PlayMotion`: plays a kept motion in free space as it was led: from its start to its goal, or some periods of it.
 
 use std::f64::consts::TAU;
-use std::sync::Arc;
 
 use armarium_motion::{
     LinePoint, MotionError, MovementPlay, PeriodicDmp, PeriodicOrientationDmp, StraightLine,
@@ -24,7 +23,7 @@ const LOST_TRACK: f64 = 0.06;
 /// Largest rate of change of the pace of a periodic motion (share of its frequency), 1/s.
 const PACE_RATE: f64 = 1.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PlayMotion",
         "Plays a kept motion in free space, with the speed at which it was led.",

@@ -1,7 +1,5 @@
 //! `PutDownTogether`: both hands lower what is between them until something else bears it, and let go.
 
-use std::sync::Arc;
-
 use armarium_motion::{LinePoint, LoadStatus, SharedLoad, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -27,7 +25,7 @@ const BEFORE: f64 = 0.02;
 const LETTING_GO: f64 = 0.03;
 const APART: f64 = 0.06;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PutDownTogether",
         "Lowers what both hands hold between them until something else bears it, and lets go of it.",

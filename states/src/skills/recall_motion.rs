@@ -1,7 +1,5 @@
 //! `RecallMotion`: finds a motion of an earlier run in memory.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
@@ -9,7 +7,7 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
 use crate::motions::{self, Kept};
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new("RecallMotion", "Finds a kept motion in memory by its name.")
         .input("name", Type::String, "The name that it was kept under.")
         .output("motion", Type::motion(), "The motion.")

@@ -20,7 +20,7 @@ use crate::places::Remembered;
 /// Interval of the memory queries, s.
 const POLL_INTERVAL: f64 = 0.1;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "RecallObject",
         "Finds where an object is in memory, whoever saw it last, and waits for somebody who does.",
@@ -121,6 +121,8 @@ fn newest<'k>(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use armarium_memoryx::{Instance, Snapshot, WORLD, WorkingMemory, tokio_clock};
     use armarium_values::transforms::Transforms;
     use armarium_values::{Frame, Pose};
@@ -132,16 +134,12 @@ mod tests {
 
     fn sponge(provider: &str, at_s: u64, frame: &str, x: f64, held: bool) -> Arc<Snapshot> {
         let pose = Value::Pose(Pose::new(frame.into(), &Isometry3::translation(x, 0.0, 0.0)));
-        let mut attributes = std::collections::BTreeMap::from([
-            ("class".to_owned(), Value::from("sponge")),
-            ("pose".to_owned(), pose),
-        ]);
+        let mut attributes = BTreeMap::from([("class".into(), Value::from("sponge")), ("pose".into(), pose)]);
         if held {
             attributes.insert("attached_to".into(), Value::from("bob/right_hand"));
         }
         if let Some((agent, _)) = provider.split_once('.') {
-            let origin = std::collections::BTreeMap::from([("agent".to_owned(), Value::from(agent))]);
-            attributes.insert("origin".into(), Value::Map(origin));
+            attributes.insert("origin".into(), Value::record([("agent", Value::from(agent))]));
         }
         Arc::new(Snapshot {
             id: format!("ObjectInstances/{provider}/sponge").parse().unwrap(),
@@ -153,40 +151,44 @@ mod tests {
         })
     }
 
-    /// [`newest`] of a robot that stands 0.3 m to the right of the world's origin.
+    /// [`newest`] of a robot that stands 0.3 m to the right of the world's origin, if it was seen in the last 5 s.
     fn newest<'k>(
         known: &'k [Arc<Snapshot>],
         class: &str,
-        now_ns: u64,
-        max_age: f64,
+        now_s: u64,
     ) -> Result<(&'k Snapshot, Isometry3<f64>), Unknown> {
         let mut transforms = Transforms::new();
         let stands = Pose::new(WORLD.into(), &Isometry3::translation(0.3, 0.0, 0.0));
         transforms.fix(&Frame::root(), &stands).unwrap();
         let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(transforms));
-        super::newest(Remembered { memory: &memory, transforms: &transforms }, known, class, now_ns, max_age)
+        super::newest(
+            Remembered { memory: &memory, transforms: &transforms },
+            known,
+            class,
+            now_s * SECOND,
+            5.0,
+        )
     }
 
     #[tokio::test]
     async fn a_pose_in_the_world_is_one_in_the_root_frame_where_it_is_known_where_the_robot_stands() {
         let known = [sponge("alice.alice", 7, WORLD, 0.5, false)];
-        let (_, pose) = newest(&known, "sponge", 9 * SECOND, 5.0).unwrap();
+        let (_, pose) = newest(&known, "sponge", 9).unwrap();
         assert!((pose.translation.x - 0.2).abs() < 1e-12);
     }
 
     #[tokio::test]
     async fn whoever_saw_it_last_is_believed() {
         let known = [sponge("alice.alice", 7, "root", 0.2, false), sponge("bob", 3, "root", 0.1, false)];
-        let (found, pose) = newest(&known, "sponge", 9 * SECOND, 5.0).unwrap();
+        let (found, pose) = newest(&known, "sponge", 9).unwrap();
         assert_eq!((seen_by(found), pose.translation.x), (Some("alice"), 0.2));
-        let (found, _) = newest(&known[1..], "sponge", 4 * SECOND, 5.0).unwrap();
+        let (found, _) = newest(&known[1..], "sponge", 4).unwrap();
         assert_eq!(seen_by(found), None);
     }
 
     #[tokio::test]
     async fn what_does_not_help_is_said() {
-        let unknown =
-            |known: &[Arc<Snapshot>], class: &str| newest(known, class, 20 * SECOND, 5.0).unwrap_err();
+        let unknown = |known: &[Arc<Snapshot>], class: &str| newest(known, class, 20).unwrap_err();
         let old = sponge("bob", 3, "root", 0.1, false);
         assert_eq!(unknown(&[Arc::clone(&old)], "cup"), Unknown::Never);
         assert!(

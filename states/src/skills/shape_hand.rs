@@ -1,7 +1,5 @@
 //! `ShapeHand`: gives the hand one of its named shapes.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::Type;
 
@@ -13,7 +11,7 @@ use crate::hand::Hand;
 /// How near each joint comes to its place in the shape, rad (m).
 const REACHED: f64 = 0.002;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ShapeHand",
         "Gives the hand one of the shapes that the robot file names, for instance `pinch` or `flat`; it lets go of nothing.",

@@ -1,7 +1,5 @@
 //! `SqueezeTogether`: takes an object between both hands. They go beside it, come nearer until each has felt it, and squeeze.
 
-use std::sync::Arc;
-
 use armarium_motion::{LinePoint, LoadStatus, SharedLoad, SharedLoadConfig, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -28,7 +26,7 @@ const NEAR: f64 = 0.01;
 /// The squeeze is right within this share, for so long, s; it takes no longer than that, s.
 const SQUEEZED: (f64, f64, f64) = (0.1, 0.3, 15.0);
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "SqueezeTogether",
         "Takes an object between both hands: from beside it nearer until each hand feels it, and then with the squeeze. Tare both before.",

@@ -20,7 +20,7 @@ const STANDING: f64 = 0.01;
 /// A robot that sends no sample for this long is silent.
 const SILENT_AFTER: Duration = Duration::from_millis(500);
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "Tare",
         "Takes what the wrist sensor feels of the resting hand as zero; nothing may touch the hand.",
@@ -41,7 +41,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let sensor = sensor_of(arm)?;
     let joints = model.reaching_joints(&arm.name);
     // Limbs that are held without a command stand still.
-    let held = ArmLeases::take(&equipment, &context, arm, &[]).await?;
+    let held = ArmLeases::take(&equipment, &context, arm, (&arm.helped_by, &[])).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut waited, mut rested) = (0.0, 0.0);
     let felt = loop {

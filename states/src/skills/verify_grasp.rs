@@ -1,12 +1,10 @@
 //! `VerifyGrasp`: checks that the hand holds the object: by aperture, vision and weight.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
-use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings, MarkerStep};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
@@ -33,7 +31,7 @@ const MIN_WEIGHT_SHARE: f64 = 0.4;
 /// The least weight if prior knowledge does not contain the object's mass, N.
 const MIN_WEIGHT: f64 = 0.4;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new("VerifyGrasp", "Verifies that the hand holds the object, by aperture, sight and weight, and takes its weight into account.")
         .input("object", Type::object(), "The object in memory.")
         .input("empty", Type::quantity(Unit::N), "Upward force on the empty hand in this posture.")
@@ -50,7 +48,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
 
     let model = equipment.robot.model();
-    let hand = hand(model, arm.limb())?;
+    let hand = hand(model, &arm.limb)?;
     let aperture = aperture(model.limb(&hand.name), &senses.newest());
     if aperture < MIN_APERTURE {
         return Err(Failure::new(format!(
@@ -70,8 +68,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
     let surface = Surface::under(equipment.remembered(), &stood).await?;
-    let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
-    sight.judge(object.entity(), class.mass.is_some())?;
+    let nearest = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
+    judge(nearest, object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
     let size = Vector3::from(class.size);
@@ -92,47 +90,37 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("mass", mass).with("grasp", Value::Map(grasp)))
 }
 
-/// The detections of the object.
-struct ObjectDetection {
-    /// The least distance from its place in the hand, m; infinite if it was not detected.
-    nearest: f64,
-}
-
-impl ObjectDetection {
-    /// A detected object must be in the hand. An object that is not detected may be hidden by the hand that holds
-    /// it: then its known weight is sufficient.
-    fn judge(&self, name: &str, weight_is_known: bool) -> Result<(), Failure> {
-        if self.nearest < IN_HAND {
-            return Ok(());
-        }
-        if self.nearest.is_finite() {
-            let mm = self.nearest * 1e3;
-            return Err(Failure::new(format!("`{name}` is seen {mm:.0} mm away from the hand, not in it")));
-        }
-        if weight_is_known {
-            tracing::info!("the hand hides `{name}`; it has the right weight");
-            return Ok(());
-        }
-        Err(Failure::new(format!("`{name}` is not seen in the hand")))
+/// A detected object must be in the hand, at most so far from its place, m. An object that is not detected may be hidden by the hand that
+/// holds it: then its known weight is sufficient.
+fn judge(nearest: f64, name: &str, weight_is_known: bool) -> Result<(), Failure> {
+    if nearest < IN_HAND {
+        return Ok(());
     }
+    if nearest.is_finite() {
+        let mm = nearest * 1e3;
+        return Err(Failure::new(format!("`{name}` is seen {mm:.0} mm away from the hand, not in it")));
+    }
+    if weight_is_known {
+        tracing::info!("the hand hides `{name}`; it has the right weight");
+        return Ok(());
+    }
+    Err(Failure::new(format!("`{name}` is not seen in the hand")))
 }
 
 /// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height of `stood`
 /// over the surface on which it stood. Detections above or below that are ignored: they are the arm, or two parts of the object
-/// matched as one.
+/// matched as one. Returns the least distance from its place in the hand, m; infinite if it was not detected.
 async fn look(
     equipment: &Equipment,
     arm: &mut LeasedArm,
     senses: &mut Senses,
     color: [u8; 3],
     (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
-) -> Result<ObjectDetection, Failure> {
-    let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
-    let tracking = ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
+) -> Result<f64, Failure> {
     let (hand, held) = (equipment.clone(), *held_in_tcp);
-    let tcp = tcp_of(arm.limb())?;
+    let tcp = tcp_of(&arm.limb)?;
     let in_hand = move |stamp_ns| Some(hand.link_at(tcp, stamp_ns).ok()? * held);
-    let mut sight = equipment.look(MarkerStep::new(tracking, HELD).expected_at(in_hand.clone()));
+    let mut sight = equipment.look(equipment.track(color, None, HELD).expected_at(in_hand.clone()));
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {
         let (sample, dt) = senses.next().await?;
@@ -150,5 +138,5 @@ async fn look(
             break;
         }
     }
-    Ok(ObjectDetection { nearest })
+    Ok(nearest)
 }

@@ -1,10 +1,8 @@
 //! `VisionCoaching`: the coach's gestures change the running motion. A fist draws the near part of the path towards
 //! the hand, two fingers push it away, one finger moves the whole motion.
 
-use std::sync::Arc;
-
 use armarium_motion::CoachInput;
-use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 
 use crate::coaching::Coaching;
@@ -22,7 +20,7 @@ const NO_EFFECT_FOR: f64 = 6.0;
 /// A hand of which no picture has come for this long shows nothing any more, s.
 const WITHOUT_PICTURES: f64 = 0.7;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")
         .input("motion", Type::motion(), "The running motion.")
         .optional("patience", Type::Duration, 0.8, "Ends when no such gesture has been seen for this long.")
@@ -35,7 +33,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let patience = context.number("patience")?;
     let mut coaching = Coaching::begin(&equipment, &context)?;
     let _frames_are_wanted = context.channels.demand("hand");
-    let mut displacement = 0.0_f64;
     let (mut shown, mut told) = (0.0, false);
     loop {
         let dt = coaching.next().await?;
@@ -47,11 +44,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             coaching.set_arrival(field("came_at").and_then(Value::as_f64));
         }
         let report = coaching.apply(dt, input)?;
-        if report.active {
-            displacement = displacement.max(report.displacement);
-        }
         shown = if input == CoachInput::None { 0.0 } else { shown + dt };
-        let without_effect = shown > NO_EFFECT_FOR && displacement < NO_EFFECT;
+        let without_effect = shown > NO_EFFECT_FOR && coaching.displacement() < NO_EFFECT;
         let said = match () {
             () if report.ambiguous => Some(AMBIGUOUS),
             () if without_effect => Some(WITHOUT_EFFECT),
@@ -61,8 +55,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             told = true;
             equipment.robot.say(said);
         }
-        if coaching.idle() > patience {
-            return Ok(Outcome::success().with("displacement", displacement));
+        if let Some(outcome) = coaching.ended(patience) {
+            return Ok(outcome);
         }
     }
 }

@@ -3,16 +3,11 @@
 //! Hand and object are seen by the same cameras, and the error is computed from both, so that an error of the
 //! cameras' mounting cancels. The hand comes from over the object: first to the pre-pose, then straight to the grasp.
 
-use std::sync::Arc;
-
 use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
 use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, MarkerSettings, MarkerStep, ObjectLocalizer, ObjectStep,
-    Sight, Sighting, StereoStep,
-};
+use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
@@ -33,7 +28,7 @@ const MAX_JUMP: f64 = 0.06;
 /// A force of this size on the way down means that the hand has hit something, N.
 const STOPPING_FORCE: f64 = 12.0;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "VisualServoTowardsTargetPose",
         "Brings the hand to an object's grasp pose, seeing hand and object with the same cameras.",
@@ -51,7 +46,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[context.pose("target")?]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut sight = Detections::new(&equipment, &context, arm.limb()).await?;
+    let mut sight = Detections::new(&equipment, &context, &arm.limb).await?;
     let over = context.pose("pre_pose")?.translation.vector - context.pose("target")?.translation.vector;
     servo(&equipment, &context, &mut arm, &mut senses, &mut sight, over).await?;
     let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, Vector3::zeros()).await?;
@@ -77,7 +72,7 @@ async fn servo(
     })
     .map_err(|e| Failure::new(e.to_string()))?;
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
-    let marker_link = marker(equipment.robot.model(), arm.limb())?.link;
+    let marker_link = marker(equipment.robot.model(), &arm.limb)?.link;
     let mut last_frame_ns = None;
     loop {
         let (sample, _) = senses.next().await?;
@@ -87,7 +82,7 @@ async fn servo(
                 * 1e-9;
             last_frame_ns = Some(frame.stamp_ns);
             let [tcp, marker] =
-                [tcp_of(arm.limb())?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
+                [tcp_of(&arm.limb)?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
             let (tcp, marker) = (tcp?, marker?);
             let observation = sight.observe(&frame, &tcp, &marker, &over);
             let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;
@@ -143,15 +138,12 @@ impl Detections {
         let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
         let surface = Surface::under(equipment.remembered(), &pose.translation.vector.into()).await?;
         let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
-        let calibration = equipment.images.calibration();
-        let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let marker = marker(equipment.robot.model(), arm)?;
-        let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
-        let hand_tracking = ColorMarkerObjectTracking::new(calibration, settings, equipment.seed);
-        let localizer = ObjectLocalizer::new(calibration, model).standing_on(surface.rotation());
+        let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
+        let localizer = localizer.standing_on(surface.rotation());
         let both: Vec<Box<dyn StereoStep>> = vec![
             Box::new(ObjectStep::new(localizer, OBJECT)),
-            Box::new(MarkerStep::new(hand_tracking, HAND)),
+            Box::new(equipment.track(marker.color, Some(marker.diameter), HAND)),
         ];
         Ok(Self {
             sight: equipment.look(both),

@@ -1,7 +1,5 @@
 //! `WatchCoach`: keeps the motion and the coach's hand in the cameras' view until it is cancelled.
 
-use std::sync::Arc;
-
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::Type;
@@ -20,7 +18,7 @@ const GAZE_TIME_CONSTANT: f64 = 0.5;
 /// A hand of which no picture has come for this long is gone, s.
 const GONE_AFTER: f64 = 1.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "WatchCoach",
         "Looks at the middle of the motion, and between it and the coach's hand while there is one, until it is cancelled.",

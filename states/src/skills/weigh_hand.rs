@@ -1,7 +1,5 @@
 //! `WeighHand`: takes the wrist force of the hand in its present state as zero.
 
-use std::sync::Arc;
-
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::Vector3;
@@ -9,7 +7,7 @@ use nalgebra::Vector3;
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "WeighHand",
         "Measures the upward force on the resting hand; weights are compared at equal posture.",

@@ -74,7 +74,6 @@ pub enum RecorderError {
         source: foxglove::FoxgloveError,
     },
     /// Foxglove's WebSocket cannot be served.
-    #[cfg(feature = "websocket")]
     #[error("port {port} of this machine, for Foxglove")]
     Foxglove {
         /// The port.
@@ -209,7 +208,6 @@ pub struct Recorder {
     broken: Option<RecorderError>,
     /// Who else is told.
     beside: Option<Arc<dyn MessageSink>>,
-    #[cfg(feature = "websocket")]
     websocket: Option<foxglove::WebSocketServerHandle>,
 }
 
@@ -279,7 +277,6 @@ impl Recorder {
             buffer: Vec::with_capacity(1024),
             broken: None,
             beside: None,
-            #[cfg(feature = "websocket")]
             websocket: None,
         })
     }
@@ -288,10 +285,12 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecorderError::Foxglove`] when the port cannot be listened on.
-    #[cfg(feature = "websocket")]
     pub fn serve_foxglove(&mut self, port: u16) -> Result<String, RecorderError> {
         let server = foxglove::WebSocketServer::new().name("Armarium").context(&self.context);
-        let server = server.bind("127.0.0.1", port).start_blocking();
+        let server = server.bind("127.0.0.1", port);
+        // It has threads of its own, and begins on one that belongs to no other runtime.
+        let started = std::thread::scope(|scope| scope.spawn(|| server.start_blocking()).join());
+        let server = started.unwrap_or_else(|panicked| std::panic::resume_unwind(panicked));
         let server = server.map_err(|source| RecorderError::Foxglove { port, source })?;
         let address = format!("ws://127.0.0.1:{}", server.port());
         self.websocket = Some(server);

@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
 use crate::plane::{Plane, towards, upwards};
-use crate::points::{DepthPoint, DepthPoints, uncertainty, usable_depth};
+use crate::points::{DepthPoint, DepthPoints, uncertainty};
 use surface::{CELL, Look, Surface};
 
 /// Every so many pixels the depth is sampled, and up to which depth, m.
@@ -111,7 +111,9 @@ impl EnvironmentModel {
 
     /// Takes over what a frame shows. Returns whether it had a depth image of the camera's size.
     pub fn update(&mut self, frame: &StereoFrame) -> bool {
-        let Some(depth) = usable_depth(frame, &self.camera) else { return false };
+        let Some(depth) = frame.depth.as_ref().and_then(|depth| self.camera.usable(depth)) else {
+            return false;
+        };
         let dt = frame.stamp_ns.saturating_sub(self.last_ns.unwrap_or(frame.stamp_ns)) as f64 * 1e-9;
         self.last_ns = Some(frame.stamp_ns);
         let seen = DepthPoints::of(depth, &self.camera, &frame.root_from_left, SAMPLED);

@@ -11,6 +11,8 @@ mod measurement;
 #[cfg(test)]
 mod tests;
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -23,49 +25,30 @@ use crate::mask::Mask;
 use crate::particles::Cloud;
 use measurement::{Blob, Counts, centroid, likelihood};
 
-/// Prior knowledge of a marker and of its motion.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MarkerSettings {
-    /// Its colour.
-    pub color: ColorModel,
-    /// Its mean diameter, m; `None`: learned while the marker is visible.
-    pub diameter_m: Option<f64>,
-    /// Range of its depth along the optical axis, m.
-    pub depth_m: (f64, f64),
-    /// Standard deviation of its acceleration, m/s^2.
-    pub acceleration: f64,
-    /// Number of particles.
-    pub particles: usize,
-}
-
 /// The state of a marker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerEstimate {
     /// Its centre in the left camera's frame, m.
     pub point_in_left: Point3<f64>,
-    /// Its velocity in the left camera's frame, m/s.
-    pub velocity_in_left: Vector3<f64>,
     /// Covariance of the centre, m^2.
     pub covariance: Matrix3<f64>,
     /// Its centre in the left image, px.
     pub left_px: Point2<f64>,
-    /// Its centre in the right image, px.
-    pub right_px: Point2<f64>,
     /// Visible fraction, 0 to 1, of the image that shows less.
     pub visible: f64,
-    /// The frame's stamp, ns.
-    pub stamp_ns: u64,
 }
 
 /// Colour segmentation and a particle filter over both eyes.
 #[derive(Clone, Debug)]
 pub struct ColorMarkerObjectTracking {
     calibration: StereoCalibration,
-    settings: MarkerSettings,
+    color: ColorModel,
     rng: ChaCha8Rng,
     track: Option<Track>,
-    /// Diameter of a disc with the area of the marker's silhouette, m, as learned so far.
+    /// Diameter of a disc with the area of the marker's silhouette, m: given, or as learned so far.
     diameter: Option<f64>,
+    /// Whether the diameter is learned.
+    learns_diameter: bool,
     /// The marker's colour as observed when the track began, to reject other objects of similar colour.
     seen_color: Option<ColorModel>,
 }
@@ -89,43 +72,26 @@ const CENTROID_SIGMA_PX: f64 = 0.15;
 const NEAR: f64 = 0.08;
 /// Components smaller than this are noise, px.
 const MIN_AREA: u32 = 12;
-
-impl MarkerSettings {
-    /// A marker of this colour (RGB) and unknown size, moved by a person at arm's length.
-    pub fn new(color: [u8; 3]) -> Self {
-        Self {
-            color: ColorModel::from_rgb(color),
-            diameter_m: None,
-            depth_m: (0.2, 3.0),
-            acceleration: 4.0,
-            particles: 300,
-        }
-    }
-
-    /// The same with a known diameter, m.
-    #[must_use]
-    pub fn with_diameter(self, diameter_m: f64) -> Self {
-        Self { diameter_m: Some(diameter_m), ..self }
-    }
-}
+/// Range of a marker's depth along the optical axis, m: a person holds it at arm's length.
+const DEPTHS: RangeInclusive<f64> = 0.2..=3.0;
+/// Standard deviation of its acceleration, m/s^2.
+const ACCELERATION: f64 = 4.0;
+/// Number of particles.
+const PARTICLES: usize = 300;
 
 impl ColorMarkerObjectTracking {
-    /// A tracker without a track. The same seed and frames give the same estimates.
-    pub fn new(calibration: StereoCalibration, settings: MarkerSettings, seed: u64) -> Self {
-        let diameter = settings.diameter_m.filter(|d| *d > 0.0 && d.is_finite());
+    /// A tracker without a track of a marker of this colour (RGB) and mean diameter, m; `None`: learned while the marker is visible. The
+    /// same seed and frames give the same estimates.
+    pub fn new(calibration: StereoCalibration, color: [u8; 3], diameter: Option<f64>, seed: u64) -> Self {
         Self {
             calibration,
-            settings,
+            color: ColorModel::from_rgb(color),
             rng: ChaCha8Rng::seed_from_u64(seed),
             track: None,
-            diameter,
+            diameter: diameter.filter(|d| *d > 0.0 && d.is_finite()),
+            learns_diameter: diameter.is_none(),
             seen_color: None,
         }
-    }
-
-    /// The marker's diameter, m: given, or learned so far.
-    pub fn diameter_m(&self) -> Option<f64> {
-        self.diameter
     }
 
     /// Processes a frame; returns the marker's state, `None` while it is not visible.
@@ -165,7 +131,7 @@ impl ColorMarkerObjectTracking {
 
     /// The pixels of both images that have the marker's colour.
     fn masks(&self, frame: &StereoFrame) -> [Mask; 2] {
-        let color = self.seen_color.as_ref().unwrap_or(&self.settings.color);
+        let color = self.seen_color.as_ref().unwrap_or(&self.color);
         [&frame.left, &frame.right].map(|image| color.segment(image))
     }
 
@@ -178,7 +144,7 @@ impl ColorMarkerObjectTracking {
         }
         let dt = (frame.stamp_ns - track.stamp_ns) as f64 * 1e-9;
         track.cloud.transform(&(frame.root_from_left.inverse() * track.root_from_left));
-        track.cloud.predict(dt, self.settings.acceleration, &mut self.rng);
+        track.cloud.predict(dt, ACCELERATION, &mut self.rng);
         track.root_from_left = frame.root_from_left;
         track.stamp_ns = frame.stamp_ns;
     }
@@ -200,12 +166,12 @@ impl ColorMarkerObjectTracking {
             }
         }
         let (_, point, diameter, component) = best?;
-        self.seen_color = Some(self.settings.color.learned(pixels(component, &frame.left)));
-        if self.settings.diameter_m.is_none() {
+        self.seen_color = Some(self.color.learned(pixels(component, &frame.left)));
+        if self.learns_diameter {
             self.diameter = Some(diameter);
         }
         let spread = Matrix3::from_diagonal(&Vector3::new(1e-4, 1e-4, 4e-4));
-        let cloud = Cloud::around(&point, &spread, 0.3, self.settings.particles, &mut self.rng);
+        let cloud = Cloud::around(&point, &spread, 0.3, PARTICLES, &mut self.rng);
         let stamp_ns = frame.stamp_ns;
         self.track =
             Some(Track { cloud, root_from_left: frame.root_from_left, stamp_ns, measured_ns: stamp_ns });
@@ -220,7 +186,7 @@ impl ColorMarkerObjectTracking {
             return None;
         }
         let point = self.calibration.triangulate(&l.centroid, &r.centroid)?;
-        if !(self.settings.depth_m.0..=self.settings.depth_m.1).contains(&point.z) {
+        if !DEPTHS.contains(&point.z) {
             return None;
         }
         let diameter = disc_diameter((small + large) / 2.0) * point.z / self.calibration.camera.focal;
@@ -229,7 +195,7 @@ impl ColorMarkerObjectTracking {
             Some(expected) => (-2.0 * (diameter / expected).ln().powi(2)).exp(),
             None => (diameter / 0.08).min(1.0),
         };
-        let colour_fit = (-0.5 * (self.settings.color.angle(mean_color(l, image)) / 0.05).powi(2)).exp();
+        let colour_fit = (-0.5 * (self.color.angle(mean_color(l, image)) / 0.05).powi(2)).exp();
         Some((point, size_fit * colour_fit, diameter))
     }
 
@@ -251,12 +217,9 @@ impl ColorMarkerObjectTracking {
         let (mean, _) = track.cloud.mean();
         let radius_px = 0.5 * diameter * calibration.camera.focal / mean.z.max(0.1);
         let expected = std::f64::consts::PI * radius_px * radius_px;
-        let seen = [0, 1].map(|eye| {
-            let shift = [0.0, calibration.baseline][eye];
-            calibration
-                .camera
-                .project_shifted(&mean, shift)
-                .and_then(|at| centroid(&masks[eye], at, radius_px))
+        let seen = [(&masks[0], 0.0), (&masks[1], calibration.baseline)].map(|(mask, shift)| {
+            let at = calibration.camera.project_shifted(&mean, shift)?;
+            centroid(mask, at, radius_px)
         });
         let visible = seen.each_ref().map(|s| s.as_ref().map_or(0.0, |s| (s.area / expected).min(1.0)));
         self.correct(&seen, visible, radius_px, frame.stamp_ns)
@@ -292,24 +255,19 @@ impl ColorMarkerObjectTracking {
         if whole {
             track.measured_ns = stamp_ns;
         }
-        let (point, velocity) = track.cloud.mean();
+        let (point, _) = track.cloud.mean();
         // The centroid of an object that is no ball is offset from its centre's projection, always to the
         // same side.
-        let shape =
-            if self.settings.diameter_m.is_some() { 0.01 } else { 0.03 } * self.diameter.unwrap_or(0.0);
+        let shape = if self.learns_diameter { 0.03 } else { 0.01 } * self.diameter.unwrap_or(0.0);
         let covariance = track.cloud.covariance() + Matrix3::identity() * (shape * shape);
-        if whole && self.settings.diameter_m.is_none() {
+        if whole && self.learns_diameter {
             self.learn_diameter(seen, point.z);
         }
-        let project = |shift| self.calibration.camera.project_shifted(&point, shift);
         Some(MarkerEstimate {
             point_in_left: point,
-            velocity_in_left: velocity,
             covariance,
-            left_px: project(0.0)?,
-            right_px: project(self.calibration.baseline)?,
+            left_px: self.calibration.camera.project(&point)?,
             visible: visible[0].min(visible[1]),
-            stamp_ns,
         })
     }
 

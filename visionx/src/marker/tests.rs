@@ -20,7 +20,7 @@ fn stamp(i: u64) -> u64 {
 }
 
 fn tracker() -> ColorMarkerObjectTracking {
-    ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new(GREEN), 1)
+    ColorMarkerObjectTracking::new(CALIBRATION, GREEN, None, 1)
 }
 
 fn error(estimate: &MarkerEstimate, truth: &Point3<f64>) -> Vector3<f64> {

@@ -10,40 +10,33 @@ fn camera(frames: u64) -> Arc<dyn ImageProvider> {
     Arc::new(StereoProvider::new(TestCamera::new(frames, None), "camera_left"))
 }
 
+const NEXT: (Trigger, Workers) = (Trigger::Next, Workers::Joined);
+
 fn pair() -> StereoPair {
     StereoPair::of(&ProviderDescription::of_stereo("camera", "camera_left", &CALIBRATION)).unwrap()
 }
 
-struct Count {
-    wanted: u64,
-    taken: AtomicU64,
-}
+/// Wants so many results.
+struct Count(AtomicU64);
 
 #[async_trait]
 impl ResultSink for Count {
     async fn take(&self, source: &SeenBy, _: Seen) -> bool {
         assert_eq!(source.provider, "camera");
-        self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
+        self.0.fetch_sub(1, Ordering::Relaxed) > 1
     }
 }
 
 async fn run(
     processor: impl ImageProcessor + 'static,
     inputs: Vec<Arc<dyn ImageProvider>>,
-    trigger: Trigger,
+    (trigger, workers): (Trigger, Workers),
     wanted: u64,
     annotated: Option<&FrameSender>,
 ) -> (Result<(), ImageError>, ProcessorStatistics) {
     let statistics = ProcessorStatistics::default();
-    let sink = Count { wanted, taken: AtomicU64::new(0) };
-    let with = ProcessorLoop {
-        inputs,
-        trigger,
-        workers: Workers::Joined,
-        sink: &sink,
-        annotated,
-        statistics: &statistics,
-    };
+    let sink = Count(AtomicU64::new(wanted));
+    let with = ProcessorLoop { inputs, trigger, workers, sink: &sink, annotated, statistics: &statistics };
     let ended = run_processor(Box::new(processor), &with).await;
     (ended, statistics)
 }
@@ -53,12 +46,12 @@ async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
     let (drawn, pictures) =
         channel(ProviderDescription { name: "drawn".into(), ..ProviderDescription::default() });
     let hand = || OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
-    let (ended, counts) = run(hand(), vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
+    let (ended, counts) = run(hand(), vec![camera(4)], NEXT, 3, Some(&drawn)).await;
     assert!(ended.is_ok());
     assert_eq!((counts.frames.get(), counts.skipped.get(), counts.unusable.get()), (3, 0, 0));
     assert!((counts.rate_hz() - 1.0 / 0.066).abs() < 1e-6);
     assert_eq!(pictures.next().await.unwrap().stamp_ns, 2);
-    let (ended, counts) = run(hand(), vec![camera(2)], Trigger::Next, 9, None).await;
+    let (ended, counts) = run(hand(), vec![camera(2)], NEXT, 9, None).await;
     assert_eq!((ended, counts.frames.get()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
 }
 
@@ -81,7 +74,7 @@ impl ImageProcessor for Look {
 #[tokio::test(start_paused = true)]
 async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
     let look = Look::default();
-    let every = Trigger::Every(Duration::from_millis(150));
+    let every = (Trigger::Every(Duration::from_millis(150)), Workers::Joined);
     let (_, counts) = run(look.clone(), vec![camera(20), camera(20)], every, 4, None).await;
     assert_eq!(*look.0.lock().await, [[2, 2], [4, 4], [6, 6], [9, 9]]);
     assert_eq!((counts.frames.get(), counts.skipped.get()), (4, 4));
@@ -121,7 +114,7 @@ async fn frames_of_another_size_than_the_calibration_s_are_counted_and_the_next_
     let sizes = vec![size, (1, 1), (size.0 + 1, size.1), (1, 480), size];
     let camera: Arc<dyn ImageProvider> = Arc::new(Sizes(sizes, AtomicU64::new(0)));
     let hand = OfStereo::new(HandStep::new(HandObserver::new(CALIBRATION)), pair());
-    let (ended, counts) = run(hand, vec![camera], Trigger::Next, 9, None).await;
+    let (ended, counts) = run(hand, vec![camera], NEXT, 9, None).await;
     assert!(ended.is_err(), "the provider has gone");
     assert_eq!((counts.frames.get(), counts.unusable.get()), (5, 3));
     assert!(counts.why_unusable().is_some_and(|why| why.contains("1 x 1")), "{counts:?}");
@@ -144,16 +137,6 @@ impl ImageProcessor for Slow {
 
 #[tokio::test]
 async fn a_slow_processor_holds_up_nothing_and_gets_the_newest_frame() {
-    let statistics = ProcessorStatistics::default();
-    let sink = Count { wanted: 3, taken: AtomicU64::new(0) };
-    let with = ProcessorLoop {
-        inputs: vec![camera(1000)],
-        trigger: Trigger::Next,
-        workers: Workers::Threads,
-        sink: &sink,
-        annotated: None,
-        statistics: &statistics,
-    };
     // Everything else goes on in this thread meanwhile: here, a clock that ticks.
     let ticks = AtomicU64::new(0);
     let tick = async {
@@ -164,7 +147,7 @@ async fn a_slow_processor_holds_up_nothing_and_gets_the_newest_frame() {
     };
     tokio::select! {
         biased;
-        ended = run_processor(Box::new(Slow), &with) => ended.unwrap(),
+        (ended, _) = run(Slow, vec![camera(1000)], (Trigger::Next, Workers::Threads), 3, None) => ended.unwrap(),
         () = tick => {}
     }
     let ticks = ticks.into_inner();

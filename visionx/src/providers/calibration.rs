@@ -43,19 +43,9 @@ form! {
         focal: [f64; 2], Rule::unit("px");
         /// Principal point, px.
         center: [f64; 2], Rule::unit("px");
-        distortion: Lens;
+        distortion: Distortion;
         /// Its pose in the provider's coordinate frame.
         reference_from_camera: Pose;
-    }
-}
-
-form! {
-    struct Lens: "a distortion" {
-        k1: f64;
-        k2: f64;
-        p1: f64;
-        p2: f64;
-        k3: f64;
     }
 }
 
@@ -95,11 +85,10 @@ impl From<Pose> for Isometry3<f64> {
 
 impl From<Camera> for CameraModel {
     fn from(camera: Camera) -> Self {
-        let Lens { k1, k2, p1, p2, k3 } = camera.distortion;
         Self {
             focal: camera.focal,
             center: camera.center,
-            distortion: Distortion { k1, k2, p1, p2, k3 },
+            distortion: camera.distortion,
             reference_from_camera: camera.reference_from_camera.into(),
         }
     }
@@ -116,7 +105,7 @@ impl Calibration {
             return Ok(Self::default());
         }
         let source = Source::read(&path).map_err(|finding| vec![*finding]);
-        source.and_then(Self::read).map_err(|findings| (path, FileError::Calibration { findings }))
+        source.and_then(Self::read).map_err(|findings| (path, FileError::Calibration(findings)))
     }
 
     fn read(source: Arc<Source>) -> Result<Self, Vec<Finding>> {

@@ -1,9 +1,10 @@
 //! The description of a provider: its images and the calibration of its cameras.
 
+use armarium_source::form;
 use nalgebra::{Isometry3, Point2, Point3};
 use serde::{Deserialize, Serialize};
 
-use super::frame::PixelFormat;
+use super::frame::{PixelFormat, RawImage};
 use crate::camera::{PinholeCamera, StereoCalibration};
 
 /// Describes a provider.
@@ -49,22 +50,24 @@ pub struct CameraModel {
     pub reference_from_camera: Isometry3<f64>,
 }
 
-/// Brown and Conrady's distortion, as OpenCV's `plumb_bob`.
-///
-/// # Source
-/// D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Distortion {
-    /// Radial.
-    pub k1: f64,
-    /// Radial.
-    pub k2: f64,
-    /// Tangential.
-    pub p1: f64,
-    /// Tangential.
-    pub p2: f64,
-    /// Radial.
-    pub k3: f64,
+form! {
+    /// Brown and Conrady's distortion, as OpenCV's `plumb_bob`.
+    ///
+    /// # Source
+    /// D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966).
+    #[derive(Copy, Deserialize)]
+    pub struct Distortion: "a distortion" {
+        /// Radial.
+        pub k1: f64;
+        /// Radial.
+        pub k2: f64;
+        /// Tangential.
+        pub p1: f64;
+        /// Tangential.
+        pub p2: f64;
+        /// Radial.
+        pub k3: f64;
+    }
 }
 
 /// Why a provider's images are not a stereo pair.
@@ -72,32 +75,20 @@ pub struct Distortion {
 #[non_exhaustive]
 pub enum NotStereo {
     /// An eye is missing.
-    #[error("there is no image `{role}`")]
-    NoImage {
-        /// The eye.
-        role: String,
-    },
+    #[error("there is no image `{0}`")]
+    NoImage(&'static str),
     /// An eye's camera is unknown.
-    #[error("the camera of `{role}` is not calibrated")]
-    NotCalibrated {
-        /// The eye.
-        role: String,
-    },
+    #[error("the camera of `{0}` is not calibrated")]
+    NotCalibrated(&'static str),
     /// An eye's calibration has numbers that no camera has.
-    #[error("the calibration of `{role}` is not one of a camera")]
-    NoCamera {
-        /// The eye.
-        role: String,
-    },
+    #[error("the calibration of `{0}` is not one of a camera")]
+    NoCamera(&'static str),
     /// The eyes' images differ in size.
     #[error("the images `left` and `right` are not of one size")]
     Sizes,
     /// An eye's lens distorts.
-    #[error("`{role}` is distorted")]
-    Distorted {
-        /// The eye.
-        role: String,
-    },
+    #[error("`{0}` is distorted")]
+    Distorted(&'static str),
     /// The cameras differ.
     #[error("the two cameras are not equal")]
     Differ,
@@ -183,6 +174,14 @@ impl CameraModel {
     }
 }
 
+impl ImageDescription {
+    /// The description of an image that a camera, if it is known, has taken.
+    pub(super) fn of(image: &RawImage, camera: Option<CameraModel>) -> Self {
+        let (width, height) = (image.width(), image.height());
+        Self { role: image.role().into(), format: image.format(), width, height, camera }
+    }
+}
+
 impl ProviderDescription {
     /// The description of an [`ImageSource`](crate::ImageSource): left and right images, and depth for the
     /// left.
@@ -218,15 +217,11 @@ impl ProviderDescription {
     /// # Errors
     /// What is missing.
     pub(super) fn eyes(&self) -> Result<((u32, u32), [CameraModel; 2]), NotStereo> {
-        let eye = |role: &str| {
-            let role_of = || role.to_owned();
-            let image = self.image(role).ok_or_else(|| NotStereo::NoImage { role: role_of() })?;
-            let camera = image.camera.ok_or_else(|| NotStereo::NotCalibrated { role: role_of() })?;
-            if camera.is_usable() {
-                Ok(((image.width, image.height), camera))
-            } else {
-                Err(NotStereo::NoCamera { role: role_of() })
-            }
+        let eye = |role: &'static str| {
+            let image = self.image(role).ok_or(NotStereo::NoImage(role))?;
+            let camera = image.camera.ok_or(NotStereo::NotCalibrated(role))?;
+            let usable = camera.is_usable().then_some(((image.width, image.height), camera));
+            usable.ok_or(NotStereo::NoCamera(role))
         };
         let ((size, left), (other, right)) = (eye("left")?, eye("right")?);
         if size != other {
@@ -244,7 +239,7 @@ impl ProviderDescription {
         let ((width, height), [left, right]) = self.eyes()?;
         for (role, eye) in [("left", &left), ("right", &right)] {
             if eye.distortion != Distortion::default() {
-                return Err(NotStereo::Distorted { role: role.into() });
+                return Err(NotStereo::Distorted(role));
             }
         }
         if left.focal != right.focal || left.center != right.center {

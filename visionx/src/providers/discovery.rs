@@ -27,22 +27,7 @@ pub enum RemoteError {
         /// `AGENT/PROVIDER`.
         provider: String,
         /// What is wrong with its description.
-        what: DescriptionError,
-    },
-}
-
-/// Why a description cannot be read.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum DescriptionError {
-    /// It cannot be decoded.
-    #[error(transparent)]
-    Codec(#[from] CodecError),
-    /// It has too many images.
-    #[error("it speaks of {images} images; at most {MAX_IMAGES} are read")]
-    TooManyImages {
-        /// How many.
-        images: usize,
+        what: CodecError,
     },
 }
 
@@ -54,7 +39,7 @@ pub struct FoundProvider {
     /// Its name in the key.
     pub provider: String,
     /// Its description, or why the description cannot be read.
-    pub description: Result<ProviderDescription, DescriptionError>,
+    pub description: Result<ProviderDescription, CodecError>,
 }
 
 /// The providers that answer within `wait`, sorted by agent and name, including those with unreadable
@@ -85,13 +70,12 @@ fn found(answer: &Reply) -> Option<FoundProvider> {
 }
 
 /// Decodes the description of an answer.
-fn description(encoding: &str, payload: &[u8]) -> Result<ProviderDescription, DescriptionError> {
+fn description(encoding: &str, payload: &[u8]) -> Result<ProviderDescription, CodecError> {
     DESCRIPTION.check(encoding)?;
     let description: ProviderDescription = decode_leniently(payload, Bounds::default())?;
-    match description.images.len() {
-        0..=MAX_IMAGES => Ok(description),
-        images => Err(DescriptionError::TooManyImages { images }),
-    }
+    let images = description.images.len();
+    let what = || format!("it speaks of {images} images; at most {MAX_IMAGES} are read");
+    if images > MAX_IMAGES { Err(CodecError::Content { what: what() }) } else { Ok(description) }
 }
 
 /// Queries the description until an answer arrives.

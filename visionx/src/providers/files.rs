@@ -58,13 +58,7 @@ impl FileProvider {
         let file = first.values().next().ok_or_else(nothing)?.clone();
         let images = read(first.clone()).await?;
         let Calibration { cameras, root_from_camera } = Calibration::beside(&file)?;
-        let described = |image: &RawImage| ImageDescription {
-            role: image.role().into(),
-            format: image.format(),
-            width: image.width(),
-            height: image.height(),
-            camera: cameras.get(image.role()).copied(),
-        };
+        let described = |image: &RawImage| ImageDescription::of(image, cameras.get(image.role()).copied());
         let description = ProviderDescription {
             name: name.into(),
             about: format!("{} frames from files", frames.len()),
@@ -175,7 +169,7 @@ mod tests {
     const ALL: Pace = Pace { speed: None, repeat: false };
 
     fn write(folder: &Path, name: &str, width: u32) {
-        let image = RgbImage::from_rgb(width, 2, vec![width as u8; width as usize * 6]).unwrap();
+        let image = RgbImage::painted(width, 2, |_, _| [width as u8; 3]);
         std::fs::write(folder.join(name), png(&image).unwrap()).unwrap();
     }
 

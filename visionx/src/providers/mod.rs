@@ -5,7 +5,7 @@
 //!   simulator's cameras, and [`StereoView`] does the reverse. [`FileProvider`] reads image files,
 //!   [`RecordingProvider`] recordings, [`FrameSender`] takes frames that the program makes, `CameraProvider` (feature
 //!   `camera`) reads a camera, [`RemoteProvider`] a provider of another process.
-//! - [`FanOut`]: many readers of one provider. [`offer`]: publishes to other processes. [`RecordingWriter`]: writes a file.
+//! - [`offer`]: publishes to other processes. [`RecordingWriter`]: writes a file.
 //! - [`wire`]: the format of a frame on the network and in a recording.
 
 mod calibration;
@@ -39,12 +39,11 @@ use crate::frame::ImageError;
 pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
 pub use description::{CameraModel, Distortion, ImageDescription, NotStereo, ProviderDescription};
-pub use discovery::{DescriptionError, FoundProvider, RemoteError, providers};
-pub use fan_out::{FanOut, FrameSubscription};
+pub use discovery::{FoundProvider, RemoteError, providers};
 pub use files::{FileProvider, Pace};
 pub use frame::{MAX_IMAGES, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage};
 pub use offering::{Offered, OfferedStatistics, offer};
-pub use pair::{StereoPair, stereo_frame};
+pub use pair::StereoPair;
 pub use recording::{RecordingError, RecordingProvider, recorded};
 pub use remote::{Delivery, RemoteProvider, RemoteStatistics};
 pub use stereo::{StereoProvider, StereoView, frame_of};

@@ -15,7 +15,7 @@ use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
 use super::convert::coded;
-use super::fan_out::{FanOut, FrameSubscription};
+use super::fan_out::FanOut;
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, pack};
 use super::{ImageProvider, RawFrame};
 use crate::counter::Counter;
@@ -74,7 +74,7 @@ impl Drop for Offered {
 
 /// State shared by the tasks of a published provider.
 struct Offering {
-    provider: Arc<dyn ImageProvider>,
+    provider: FanOut,
     session: Session,
     epoch: u64,
     kept: Mutex<VecDeque<Arc<RawFrame>>>,
@@ -98,16 +98,14 @@ pub async fn offer(
         epoch: session.now_ns(),
         kept: Mutex::new(VecDeque::new()),
         statistics: Arc::clone(&statistics),
-        provider: Arc::clone(&provider),
+        provider: FanOut::of(provider),
     });
-    let shared = FanOut::new(provider);
     let sender = session.bulk_sender(&key, ENCODING).await?;
-    let mut tasks = vec![tokio::spawn(Arc::clone(&offering).send_raw(sender, shared.subscribe().await))];
+    let mut tasks = vec![tokio::spawn(Arc::clone(&offering).send_raw(sender))];
     for (coding, word) in [(ImageCoding::Png, "png"), (ImageCoding::Jpeg, "jpeg")] {
         let key = keys::image_coded(agent, &name, word)?;
         let sender = session.bulk_sender(&key, ENCODING).await?;
-        let frames = shared.subscribe().await;
-        tasks.push(tokio::spawn(Arc::clone(&offering).send_coded(sender, frames, coding)));
+        tasks.push(tokio::spawn(Arc::clone(&offering).send_coded(sender, coding)));
     }
     let questions = session.declare_queryable(key.clone(), MAX_WAITING).await?;
     tasks.push(tokio::spawn(offering.answer(questions, key)));
@@ -115,10 +113,10 @@ pub async fn offer(
 }
 
 impl Offering {
-    /// The next frame; errors are counted and skipped. `None` when there are no more frames.
-    async fn next(&self, frames: &FrameSubscription) -> Option<Arc<RawFrame>> {
+    /// The next frame after the `seen`th; errors are counted and skipped. `None` when there are no more frames.
+    async fn next(&self, seen: &mut u64) -> Option<Arc<RawFrame>> {
         loop {
-            match frames.next().await {
+            match self.provider.next(seen).await {
                 Ok(frame) => return Some(frame),
                 Err(ImageError::Gone { .. }) => return None,
                 Err(error) => {
@@ -132,10 +130,11 @@ impl Offering {
         }
     }
 
-    async fn send_raw(self: Arc<Self>, sender: BulkSender, frames: FrameSubscription) {
+    async fn send_raw(self: Arc<Self>, sender: BulkSender) {
+        let mut seen = 0;
         loop {
             sender.wanted().await;
-            let Some(frame) = self.next(&frames).await else { return };
+            let Some(frame) = self.next(&mut seen).await else { return };
             let Ok(header) = Header::raw(&frame, self.epoch, self.session.now_ns()).encode() else {
                 continue;
             };
@@ -162,10 +161,11 @@ impl Offering {
         }
     }
 
-    async fn send_coded(self: Arc<Self>, sender: BulkSender, frames: FrameSubscription, coding: ImageCoding) {
+    async fn send_coded(self: Arc<Self>, sender: BulkSender, coding: ImageCoding) {
+        let mut seen = 0;
         loop {
             sender.wanted().await;
-            let Some(frame) = self.next(&frames).await else { return };
+            let Some(frame) = self.next(&mut seen).await else { return };
             let (epoch, sent_ns) = (self.epoch, self.session.now_ns());
             let made = tokio::task::spawn_blocking(move || coded(&frame, coding, epoch, sent_ns)).await;
             let Ok(Ok((header, bytes))) = made else {

@@ -71,12 +71,8 @@ impl StereoPair {
 }
 
 /// The stereo frame of a frame with the images `left` and `right`, and `depth` if there is one. Without a camera pose
-/// in the frame the camera is taken to be at the root; check `root_from_camera` before using points in the root
-/// frame.
-///
-/// # Errors
-/// [`ImageError::Spoilt`] when an image is missing.
-pub fn stereo_frame(frame: &RawFrame, provider: &str) -> Result<StereoFrame, ImageError> {
+/// in the frame the camera is taken to be at the root.
+fn stereo_frame(frame: &RawFrame, provider: &str) -> Result<StereoFrame, ImageError> {
     let spoilt = |what: String| ImageError::Spoilt { provider: provider.into(), what };
     let eye = |role: &str| {
         let image = frame.image(role).ok_or_else(|| spoilt(format!("a frame without the image `{role}`")))?;

@@ -274,7 +274,7 @@ async fn sweep() {
 
 fn read(bulk: &Bulk) -> Result<(Header, RawFrame), WireError> {
     if bulk.encoding != ENCODING {
-        return Err(WireError::Encoding { found: bulk.encoding.clone() });
+        return Err(WireError::Encoding(bulk.encoding.clone()));
     }
     let header = Header::decode(&bulk.attachment)?;
     let owner: Arc<dyn PixelOwner> = Arc::new(bulk.payload.clone());

@@ -6,11 +6,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use async_trait::async_trait;
 
 use super::{
-    ImageProvider, NotStereo, PixelFormat, PixelOwner, Pixels, ProviderDescription, RawFrame, RawImage,
-    StereoPair,
+    ImageProvider, PixelFormat, PixelOwner, Pixels, ProviderDescription, RawFrame, RawImage, StereoPair,
 };
 use crate::camera::StereoCalibration;
-use crate::counter::Counter;
 use crate::frame::{ImageError, StereoFrame};
 use crate::image_source::ImageSource;
 
@@ -25,7 +23,6 @@ pub struct StereoProvider {
 pub struct StereoView {
     provider: Arc<dyn ImageProvider>,
     pair: StereoPair,
-    unusable: Counter,
 }
 
 /// One image of a shared frame.
@@ -93,17 +90,10 @@ impl StereoView {
     /// # Errors
     /// [`ImageError::Spoilt`] when it is not calibrated as a pair of identical, parallel cameras.
     pub fn new(provider: Arc<dyn ImageProvider>) -> Result<Self, ImageError> {
-        let description = provider.description();
-        let pair = StereoPair::of(&description);
-        let spoilt =
-            |what: NotStereo| ImageError::Spoilt { provider: description.name, what: what.to_string() };
-        let pair = pair.map_err(spoilt)?;
-        Ok(Self { provider, pair, unusable: Counter::default() })
-    }
-
-    /// Frames that were skipped: damaged, not a pair of the calibration's size, or overwritten while they were copied.
-    pub fn unusable(&self) -> u64 {
-        self.unusable.get()
+        let described = provider.description();
+        let pair = StereoPair::of(&described).map_err(|what| what.to_string());
+        let pair = pair.map_err(|what| ImageError::Spoilt { provider: described.name, what })?;
+        Ok(Self { provider, pair })
     }
 }
 
@@ -117,7 +107,7 @@ impl ImageSource for StereoView {
         self.pair.calibration()
     }
 
-    /// Skips a frame that is not a complete stereo pair.
+    /// Skips frames that are damaged, no pair of the calibration's size, or overwritten while they were copied.
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         loop {
             let frame = match self.provider.next().await {
@@ -129,7 +119,6 @@ impl ImageSource for StereoView {
             if let Some(stereo) = stereo.filter(|_| frame.is_some_and(|frame| frame.is_intact())) {
                 return Ok(Arc::new(stereo));
             }
-            self.unusable.add(1);
             // A provider that fails repeatedly must not starve other tasks.
             tokio::task::yield_now().await;
         }
@@ -139,34 +128,16 @@ impl ImageSource for StereoView {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenes::{CALIBRATION, frame_with_depth, table};
+    use crate::scenes::{CALIBRATION, TestCamera, frame_with_depth, table};
 
-    struct Once(StereoFrame);
-
-    #[async_trait]
-    impl ImageSource for Once {
-        fn name(&self) -> &str {
-            "once"
-        }
-
-        fn calibration(&self) -> StereoCalibration {
-            CALIBRATION
-        }
-
-        async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-            Ok(Arc::new(self.0.clone()))
-        }
-    }
-
-    #[tokio::test]
+    #[tokio::test(start_paused = true)]
     async fn there_and_back_again_is_the_same_frame() {
-        let frame = frame_with_depth(&[table([150, 115, 80])], 77, 1);
-        let provider = Arc::new(StereoProvider::new(Arc::new(Once(frame.clone())), "camera_left"));
+        let frame = frame_with_depth(&[table([150, 115, 80])], 0, 1);
+        let provider = Arc::new(StereoProvider::new(TestCamera::of(frame.clone(), 2, None), "camera_left"));
         let given = provider.next().await.unwrap();
-        assert_eq!((given.number, given.stamp_ns, given.frame_id.as_str()), (1, 77, "camera_left"));
+        assert_eq!((given.number, given.stamp_ns, given.frame_id.as_str()), (1, 0, "camera_left"));
         let view = StereoView::new(provider).unwrap();
-        assert_eq!((view.name(), view.calibration()), ("once", CALIBRATION));
-        assert_eq!(*view.next().await.unwrap(), frame);
-        assert_eq!(view.unusable(), 0);
+        assert_eq!((view.name(), view.calibration()), ("camera", CALIBRATION));
+        assert_eq!(*view.next().await.unwrap(), StereoFrame { stamp_ns: 1, ..frame });
     }
 }

@@ -28,9 +28,6 @@ pub struct RecordingWriter {
 
 impl RecordingWriter {
     /// Creates a recording; an existing file is overwritten.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
     pub fn create(path: &Path) -> Result<Self, RecordingError> {
         let file = File::create(path).map_err(|source| RecordingError::File { path: path.into(), source })?;
         let options = mcap::WriteOptions::new().chunk_size(Some(CHUNK)).library("armarium");
@@ -45,12 +42,8 @@ impl RecordingWriter {
     }
 
     /// Writes the description of a provider; must come before its frames.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
     pub fn add_provider(&mut self, description: &ProviderDescription) -> Result<(), RecordingError> {
-        let encode = |what: String| RecordingError::Encode { what };
-        let said = armarium_bus::encode(description).map_err(|e| encode(e.to_string()))?;
+        let said = armarium_bus::encode(description).map_err(|e| RecordingError::Encode(e.to_string()))?;
         let said = said.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         let metadata = BTreeMap::from([("name".into(), description.name.clone()), ("cbor".into(), said)]);
         let failed = self.failed();
@@ -62,17 +55,14 @@ impl RecordingWriter {
     }
 
     /// Writes a frame of an added provider.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
     pub fn add(&mut self, provider: &str, frame: &RawFrame) -> Result<(), RecordingError> {
-        let unknown = || RecordingError::Encode { what: format!("there is no provider `{provider}` in it") };
+        let unknown = || RecordingError::Encode(format!("there is no provider `{provider}` in it"));
         let channel_id = *self.channels.get(provider).ok_or_else(unknown)?;
         if frame.bytes() > MAX_FRAME_BYTES {
             let what = format!("it has {} bytes; at most {MAX_FRAME_BYTES} are recorded", frame.bytes());
-            return Err(RecordingError::Encode { what });
+            return Err(RecordingError::Encode(what));
         }
-        let data = pack(frame, 0, 0).map_err(|e| RecordingError::Encode { what: e.to_string() })?;
+        let data = pack(frame, 0, 0).map_err(|e| RecordingError::Encode(e.to_string()))?;
         let header = MessageHeader {
             channel_id,
             // For viewers only; the frame carries its own number.
@@ -91,9 +81,6 @@ impl RecordingWriter {
     }
 
     /// Completes the recording.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
     pub fn finish(mut self) -> Result<(), RecordingError> {
         let failed = self.failed();
         self.writer.finish().map(|_| ()).map_err(failed)

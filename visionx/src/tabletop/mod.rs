@@ -7,9 +7,9 @@ use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
 use crate::camera::PinholeCamera;
 use crate::frame::StereoFrame;
-use crate::mask::Region;
+use crate::mask::{Region, beside};
 use crate::plane::{Plane, upwards};
-use crate::points::{DepthPoint, DepthPoints, usable_depth};
+use crate::points::{DepthPoint, DepthPoints};
 use crate::providers::{PixelFormat, RawFrame};
 use crate::rectangle::Rectangle;
 
@@ -114,7 +114,7 @@ impl TabletopSegmentation {
     /// The table in a frame with its objects; `None` without a depth image of the camera's size, or without a level
     /// plane above floor height.
     pub fn segment(&self, frame: &StereoFrame) -> Option<Tabletop> {
-        let depth = usable_depth(frame, &self.camera)?;
+        let depth = self.camera.usable(frame.depth.as_ref()?)?;
         let seen = DepthPoints::of(depth, &self.camera, &frame.root_from_left, (STEP, f64::MAX));
         let wanted = |at: &Point3<f64>, normal: &Vector3<f64>| upwards(normal).filter(|_| at.z >= NO_FLOOR);
         let plane = Plane::largest(&seen, &|_| true, MIN_SHARE, &wanted)?;
@@ -159,12 +159,9 @@ impl TabletopSegmentation {
             while let Some(here) = open.pop() {
                 let (x, y) = (here.place % w, here.place / w);
                 cut |= x == 0 || y == 0 || x + 1 == w || y + 1 == h;
-                let left = (x > 0).then(|| here.place - 1);
-                let right = (x + 1 < w).then(|| here.place + 1);
-                let neighbours = [left, right, here.place.checked_sub(w), Some(here.place + w)];
-                for place in neighbours.into_iter().flatten() {
+                for place in beside(here.place, seen.size) {
                     let near = |next: &mut &DepthPoint| (next.depth - here.depth).abs() < DEPTH_STEP;
-                    if let Some(next) = rising.get_mut(place).and_then(|next| next.take_if(near)) {
+                    if let Some(next) = rising[place].take_if(near) {
                         thing.push(next);
                         open.push(next);
                     }

@@ -78,7 +78,7 @@ fn what_the_picture_cuts_is_no_thing() {
 fn a_left_image_of_another_size_has_no_colours_and_ends_nothing() {
     let cup = block(0.05, 0.60, 0.0, [0.07, 0.07, 0.09], [200, 40, 40]);
     let mut frame = frame_with_depth(&[table([150, 115, 80]), cup], 0, 2);
-    frame.left = crate::frame::RgbImage::from_rgb(1, 1, vec![0; 3]).unwrap();
+    frame.left = crate::frame::RgbImage::painted(1, 1, |_, _| [0; 3]);
     let seen = TabletopSegmentation::new(CALIBRATION.camera).segment(&frame).unwrap();
     assert_eq!(seen.objects.iter().map(|o| o.color).collect::<Vec<_>>(), [[0; 3]]);
 }

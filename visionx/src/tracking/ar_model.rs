@@ -39,17 +39,10 @@ form! {
     }
 }
 
-/// Why a model cannot be fitted or read.
+/// Why a model cannot be fitted: these steps are too few, or all alike.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ArModelError {
-    /// Too few steps, or steps that are all alike.
-    #[error("{samples} steps do not determine the model")]
-    TooLittle {
-        /// Steps given.
-        samples: usize,
-    },
-}
+#[error("{0} steps do not determine the model")]
+pub struct ArModelError(usize);
 
 /// The built-in model.
 const BUILT_IN: &str = include_str!("finger_ar2.yaml");
@@ -94,12 +87,12 @@ impl FingerARModel {
     /// splits a sequence.
     ///
     /// # Errors
-    /// [`ArModelError::TooLittle`] when the steps do not determine the ten coefficients.
+    /// When the steps do not determine the ten coefficients.
     pub fn fit(sequences: &[Vec<Point2<f64>>], frame_rate_hz: f64) -> Result<Self, ArModelError> {
         let finite = |w: &&[Point2<f64>]| w.iter().all(|p| p.coords.amax().is_finite());
         let steps: Vec<&[Point2<f64>]> = sequences.iter().flat_map(|s| s.windows(3)).filter(finite).collect();
         let n = steps.len();
-        let too_little = || ArModelError::TooLittle { samples: n };
+        let too_little = || ArModelError(n);
         if n < 20 {
             return Err(too_little());
         }
@@ -155,17 +148,15 @@ impl FingerARModel {
 
     /// Writes the model as a file's text.
     pub fn to_yaml(&self) -> String {
-        let matrix =
-            |m: &Matrix2<f64>| format!("[[{}, {}], [{}, {}]]", m[(0, 0)], m[(0, 1)], m[(1, 0)], m[(1, 1)]);
+        let rows = |m: &Matrix2<f64>| m.transpose().data.0;
         format!(
             "# How a fingertip moves from frame to frame, in normalised image coordinates.\nframe_rate_hz: {:?}\n\
-             from_last: {}\nfrom_last_but_one: {}\noffset: [{}, {}]\nnoise: {}\nsamples: {}\n",
+             from_last: {:?}\nfrom_last_but_one: {:?}\noffset: {:?}\nnoise: {:?}\nsamples: {}\n",
             self.frame_rate_hz,
-            matrix(&self.from_last),
-            matrix(&self.from_last_but_one),
-            self.offset.x,
-            self.offset.y,
-            matrix(&self.noise),
+            rows(&self.from_last),
+            rows(&self.from_last_but_one),
+            self.offset.data.0[0],
+            rows(&self.noise),
             self.samples,
         )
     }

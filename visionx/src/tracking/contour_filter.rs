@@ -33,6 +33,13 @@ pub struct FilterFrame<'a> {
     pub candidates: &'a [TipCandidate],
 }
 
+impl FilterFrame<'_> {
+    /// A place in normalised image coordinates.
+    fn normalised(&self, px: &Point2<f64>) -> Point2<f64> {
+        Point2::from((px.coords - Vector2::from(self.center)) / self.focal)
+    }
+}
+
 /// A node of the contour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContourNode {
@@ -104,13 +111,18 @@ impl ParticleFilterFingerTracking {
     /// tracked.
     pub fn predict(&mut self, rng: &mut impl Rng) -> usize {
         self.move_contours(rng);
+        self.nodes.iter_mut().for_each(|node| node.unseen += 1);
+        self.drop_unseen(MAX_UNSEEN_BLIND);
+        self.nodes.len()
+    }
+
+    /// Drops the nodes that have been without a candidate in more frames.
+    fn drop_unseen(&mut self, most: u32) {
         for i in (0..self.nodes.len()).rev() {
-            self.nodes[i].unseen += 1;
-            if self.nodes[i].unseen > MAX_UNSEEN_BLIND {
+            if self.nodes[i].unseen > most {
                 self.remove(i);
             }
         }
-        self.nodes.len()
     }
 
     /// Updates the contour with a frame's candidates.
@@ -156,15 +168,13 @@ impl ParticleFilterFingerTracking {
 
     /// Resamples by the likelihood of one node.
     fn weigh(&mut self, i: usize, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
-        let place =
-            |c: &TipCandidate| Point2::from((c.center.coords - Vector2::from(frame.center)) / frame.focal);
         let radius = frame.radius / frame.focal;
         let (expected, spread) = self.mean(i);
         let gate = MAX_DISTANCE * radius + 2.0 * spread;
         let near: Vec<(Point2<f64>, f64)> = frame
             .candidates
             .iter()
-            .map(|c| (place(c), c.score))
+            .map(|c| (frame.normalised(&c.center), c.score))
             .filter(|(c, _)| (c - expected).norm() < gate)
             .collect();
         if near.is_empty() {
@@ -201,26 +211,17 @@ impl ParticleFilterFingerTracking {
     /// Counts the frames in which a node had no candidate, and drops nodes that had none for too long.
     fn count_unseen(&mut self, frame: &FilterFrame<'_>) {
         let nodes = self.nodes(frame.focal, frame.center);
-        let mut taken = vec![usize::MAX; frame.candidates.len()];
+        let mut free: Vec<&TipCandidate> = frame.candidates.iter().collect();
         let mut order: Vec<usize> = (0..nodes.len()).collect();
         order.sort_by_key(|&i| nodes[i].unseen);
         for i in order {
-            let distance = |k: &usize| (frame.candidates[*k].center - nodes[i].px).norm();
-            let free = (0..taken.len()).filter(|&k| taken[k] == usize::MAX);
-            let nearest = free.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            let distance = |k: &usize| (free[*k].center - nodes[i].px).norm();
+            let nearest = (0..free.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
             let own = nearest.filter(|k| distance(k) < 1.3 * frame.radius);
-            if let Some(k) = own {
-                taken[k] = i;
-                self.nodes[i].unseen = 0;
-            } else {
-                self.nodes[i].unseen += 1;
-            }
+            self.nodes[i].unseen = if own.is_some() { 0 } else { self.nodes[i].unseen + 1 };
+            own.map(|k| free.remove(k));
         }
-        for i in (0..self.nodes.len()).rev() {
-            if self.nodes[i].unseen > MAX_UNSEEN {
-                self.remove(i);
-            }
-        }
+        self.drop_unseen(MAX_UNSEEN);
     }
 
     fn remove(&mut self, i: usize) {
@@ -248,7 +249,7 @@ impl ParticleFilterFingerTracking {
             let turn = |p: &Point2<f64>| (p.y - frame.palm.y).atan2(p.x - frame.palm.x);
             let own = turn(&candidate.center);
             let at = nodes.iter().position(|n| turn(&n.px) > own).unwrap_or(nodes.len());
-            let place = Point2::from((candidate.center.coords - Vector2::from(frame.center)) / frame.focal);
+            let place = frame.normalised(&candidate.center);
             self.nodes.insert(at, Node { id: self.next_id, unseen: 0 });
             self.next_id += 1;
             for particle in &mut self.particles {

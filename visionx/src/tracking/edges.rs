@@ -41,25 +41,17 @@ pub fn edge_map(image: &RgbImage, hand: &Mask) -> Vec<Edge> {
     let plain = ImageBuffer::from_fn(w + 2 * FRAME, h + 2 * FRAME, |x, y| Luma([level(x, y)]));
     let smooth: ImageBuffer<Luma<f32>, Vec<f32>> = gaussian_blur_f32(&plain, BLUR);
     let at = |x: u32, y: u32| f64::from(smooth.get_pixel(x, y).0[0]);
-    let mut edges = Vec::new();
-    for y in 0..h {
-        for x in 0..w {
-            let (px, py) = (i64::from(region.x + x), i64::from(region.y + y));
-            let inside_picture = px > 0 && py > 0 && px + 1 < width && py + 1 < height;
-            let around = [(px - 1, py), (px + 1, py), (px, py - 1), (px, py + 1)];
-            if !inside_picture || !hand.contains(px, py) || around.iter().all(|&(x, y)| hand.contains(x, y)) {
-                continue;
-            }
-            let (sx, sy) = (x + FRAME, y + FRAME);
-            let slope = Vector2::new(at(sx + 1, sy) - at(sx - 1, sy), at(sx, sy + 1) - at(sx, sy - 1)) / 2.0;
-            let Some(inward) = slope.try_normalize(1e-4) else { continue };
-            // The level 0.5 of the blurred silhouette, about half a pixel outside of its outermost pixel.
-            let half = Point2::new(px as f64, py as f64)
-                + inward * ((0.5 - at(sx, sy)) / slope.norm()).clamp(-1.5, 1.5);
-            edges.push(Edge { at: refined(image, &half, &inward), inward });
-        }
-    }
-    edges
+    let inner = |&(x, y): &(i64, i64)| x > 0 && y > 0 && x + 1 < width && y + 1 < height;
+    let edge = |(px, py): (i64, i64)| {
+        let (x, y) = (px as u32 - region.x + FRAME, py as u32 - region.y + FRAME);
+        let slope = Vector2::new(at(x + 1, y) - at(x - 1, y), at(x, y + 1) - at(x, y - 1)) / 2.0;
+        let inward = slope.try_normalize(1e-4)?;
+        // The level 0.5 of the blurred silhouette, about half a pixel outside of its outermost pixel.
+        let half =
+            Point2::new(px as f64, py as f64) + inward * ((0.5 - at(x, y)) / slope.norm()).clamp(-1.5, 1.5);
+        Some(Edge { at: refined(image, &half, &inward), inward })
+    };
+    hand.pixels().filter(inner).filter(|at| hand.is_at_edge(*at)).filter_map(edge).collect()
 }
 
 /// Finds where the colour along the normal is half way between inside and outside; returns `at` where that is
@@ -116,17 +108,13 @@ pub(super) mod tests {
     /// A skin-coloured disc before a wall, with smooth edges, and its silhouette in whole pixels.
     pub(in crate::tracking) fn disc(x: f64, y: f64, r: f64) -> (RgbImage, Mask) {
         let (w, h) = (80u32, 70u32);
-        let mut data = Vec::new();
-        let mut mask = Mask::empty(Region::whole(w, h));
-        for i in 0..w * h {
-            let d = (f64::from(i % w) - x).hypot(f64::from(i / w) - y) - r;
-            let share = (0.5 - d).clamp(0.0, 1.0);
-            mask.data_mut()[i as usize] = u8::from(share >= 0.5);
-            data.extend(
-                [(224.0, 90.0), (172.0, 110.0), (138.0, 120.0)].map(|(i, o)| (o + (i - o) * share) as u8),
-            );
-        }
-        (RgbImage::from_rgb(w, h, data).unwrap(), mask)
+        let share = |(u, v)| (0.5 - ((f64::from(u) - x).hypot(f64::from(v) - y) - r)).clamp(0.0, 1.0);
+        let color = |share: f64| {
+            [(224.0, 90.0), (172.0, 110.0), (138.0, 120.0)].map(|(i, o)| (o + (i - o) * share) as u8)
+        };
+        let whole = Region::whole(w, h);
+        let mask = Mask::of(whole, whole.pixels().map(|at| share(at) >= 0.5));
+        (RgbImage::painted(w, h, |u, v| color(share((u, v)))), mask)
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 use super::lab::LabImage;
 use super::mixture::Mixture;
-use crate::components::{components, fill_holes};
+use crate::components::{Component, components, fill_holes};
 use crate::mask::{Mask, Region};
 
 /// Levels of a histogram.
@@ -49,14 +49,11 @@ const AXES: [fn(&[f32; 3]) -> f32; 6] =
 /// The largest `most` components of a segmentation, smoothed and without small holes.
 pub(super) fn parts(lab: &LabImage, cut: &[bool], most: usize) -> Vec<Mask> {
     let region = Region::whole(lab.width as u32, lab.height as u32);
-    let mut mask = Mask::empty(region);
-    mask.data_mut().iter_mut().zip(cut).for_each(|(m, c)| *m = u8::from(*c));
-    let mask = mask.majority().majority();
+    let mask = Mask::of(region, cut.iter().copied()).majority().majority();
     let pixels = lab.data.len() as f64;
     let found = components(&mask, (MIN_SHARE * pixels) as u32);
-    let alone = |c: &crate::components::Component| {
-        let mut thing = Mask::empty(region);
-        thing.add(&c.runs);
+    let alone = |c: &Component| {
+        let mut thing = c.alone(region);
         fill_holes(&mut thing, (HOLE_SHARE * pixels) as u32);
         thing
     };

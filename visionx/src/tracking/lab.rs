@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn large_images_are_reduced_and_small_ones_stay() {
-        let image = RgbImage::from_rgb(40, 20, vec![90; 2400]).unwrap();
+        let image = RgbImage::painted(40, 20, |_, _| [90; 3]);
         let small = LabImage::of(&image, 10).unwrap();
         assert_eq!((small.width, small.height, small.scale), (10, 5, 4.0));
         assert_eq!(LabImage::of(&image, 100).unwrap().width, 40);

@@ -106,24 +106,20 @@ fn border(thing: &Mask) -> (f64, usize) {
 /// How well the outline lies on edges: the mean contrast between its two sides, lowered by its parts of low
 /// contrast.
 fn edge(lab: &LabImage, thing: &Mask) -> f64 {
-    let (w, h) = (thing.width() as i64, thing.height() as i64);
+    let inner = |&(x, y): &(i64, i64)| {
+        x > 0 && y > 0 && x + 1 < thing.width() as i64 && y + 1 < thing.height() as i64
+    };
     let (mut sum, mut unclear, mut n) = (0.0, 0.0, 0.0f64);
-    for y in 1..h - 1 {
-        for x in 1..w - 1 {
-            let outer = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
-            if !thing.contains(x, y) || outer.iter().all(|&(x, y)| thing.contains(x, y)) {
-                continue;
-            }
-            let Some(normal) = outward(thing, x, y) else { continue };
-            let at = |t: f32| {
-                lab.at((x as f32 + normal.x * t).round() as i64, (y as f32 + normal.y * t).round() as i64)
-            };
-            let difference = apart(&at(-REACH + 0.6), &at(REACH)).sqrt();
-            let clear = f64::from((difference / CLEAR).min(1.0));
-            n += 1.0;
-            sum += clear;
-            unclear += f64::from(u8::from(clear < 0.35));
-        }
+    for (x, y) in thing.pixels().filter(inner).filter(|at| thing.is_at_edge(*at)) {
+        let Some(normal) = outward(thing, x, y) else { continue };
+        let at = |t: f32| {
+            lab.at((x as f32 + normal.x * t).round() as i64, (y as f32 + normal.y * t).round() as i64)
+        };
+        let difference = apart(&at(-REACH + 0.6), &at(REACH)).sqrt();
+        let clear = f64::from((difference / CLEAR).min(1.0));
+        n += 1.0;
+        sum += clear;
+        unclear += f64::from(u8::from(clear < 0.35));
     }
     if n > 0.0 { (sum / n - 0.7 * unclear / n).max(0.0) } else { 0.0 }
 }

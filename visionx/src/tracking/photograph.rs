@@ -8,7 +8,7 @@ use nalgebra::{Point2, Vector2};
 use super::detector::{HandDetector, HandInPicture, HandOutline};
 use super::recognizer::GestureRecognizer;
 use super::skin::SkinSegmentation;
-use crate::components::largest_bounds;
+use crate::components::largest;
 use crate::distance::inside;
 use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
@@ -38,9 +38,7 @@ impl SkinHandDetector {
 impl HandDetector for SkinHandDetector {
     fn find(&mut self, image: &RgbImage) -> Option<HandInPicture> {
         let segmentation = SkinSegmentation::of(image)?;
-        let (palm, radius) = widest(&segmentation.mask)?;
-        let hand = near(&segmentation.mask, &palm, REACH * radius);
-        let shape = hand_shape(&hand, PALM / radius)?;
+        let (shape, hand, radius) = measured(&segmentation.mask)?;
         let pixel_m = PALM / radius;
         let scale = segmentation.scale;
         let place = |p: &Point2<f64>| Point2::from(p.coords * scale + Vector2::repeat((scale - 1.0) / 2.0));
@@ -52,7 +50,7 @@ impl HandDetector for SkinHandDetector {
         let (gesture, sure) = self.recognizer.recognize(&fingers);
         let whole = Region::whole(image.width(), image.height());
         Some(HandInPicture {
-            bounding_box: enlarged(&largest_bounds(&hand), scale, &whole),
+            bounding_box: enlarged(&largest(&hand)?.bounds, scale, &whole),
             palm: place(&shape.palm),
             palm_radius: radius * scale,
             fingertips,
@@ -64,10 +62,11 @@ impl HandDetector for SkinHandDetector {
     }
 }
 
-/// The shape of a silhouette, assuming a typical palm.
-pub(super) fn measured(mask: &Mask) -> Option<HandShape> {
+/// The shape of a silhouette, assuming a typical palm; the silhouette without the arm, and the palm's radius, px.
+pub(super) fn measured(mask: &Mask) -> Option<(HandShape, Mask, f64)> {
     let (palm, radius) = widest(mask)?;
-    hand_shape(&near(mask, &palm, REACH * radius), PALM / radius)
+    let hand = near(mask, &palm, REACH * radius);
+    Some((hand_shape(&hand, PALM / radius)?, hand, radius))
 }
 
 /// The finger's pad, slightly inside of its end.
@@ -89,14 +88,9 @@ fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
     let whole = mask.region();
     let (from, to) = (middle - Vector2::repeat(reach), middle + Vector2::repeat(reach));
     let region = Region::spanning(from.x, from.y, to.x, to.y, whole.width, whole.height);
-    let mut part = Mask::empty(region);
-    let w = part.width();
-    for (i, m) in part.data_mut().iter_mut().enumerate() {
-        let (x, y) = (region.x as usize + i % w, region.y as usize + i / w);
-        let is_near = (Point2::new(x as f64, y as f64) - middle).norm() <= reach;
-        *m = u8::from(is_near && mask.contains(x as i64, y as i64));
-    }
-    part
+    let is_near = |(x, y)| (Point2::new(f64::from(x), f64::from(y)) - middle).norm() <= reach;
+    let bit = |(x, y)| is_near((x, y)) && mask.contains(i64::from(x), i64::from(y));
+    Mask::of(region, region.pixels().map(bit))
 }
 
 /// Scales a region of a reduced image to the full image.

@@ -111,11 +111,6 @@ impl GestureRecognizer {
         armarium_source::read(source).map(|file: PatternFile| Self { gestures: file.gestures })
     }
 
-    /// The patterns.
-    pub fn patterns(&self) -> &[GesturePattern] {
-        &self.gestures
-    }
-
     /// The most likely gesture for these possible fingers, and its probability.
     pub fn recognize(&self, fingers: &[SeenFinger]) -> (String, f64) {
         let likelihoods = self.likelihoods(fingers);

@@ -37,7 +37,7 @@ const DEEP: f64 = 0.12;
 /// Whether a region segmented from an image, as a mask of the whole image, is not a hand.
 pub(super) fn is_other_object(image: &LabImage, mask: &Mask) -> bool {
     let view = MaskedImage { image, mask, width: image.width as i64, height: image.height as i64 };
-    let pixels = view.pixels();
+    let pixels: Vec<(i64, i64)> = mask.pixels().collect();
     let area = pixels.len() as f64;
     let radius = inside(mask).into_iter().map(f64::from).fold(0.0, f64::max);
     if area < 1.0 || radius < 1.0 {
@@ -62,11 +62,6 @@ struct MaskedImage<'v> {
 }
 
 impl MaskedImage<'_> {
-    fn pixels(&self) -> Vec<(i64, i64)> {
-        let all = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
-        all.filter(|(x, y)| self.mask.contains(*x, *y)).collect()
-    }
-
     /// Whether a pixel outside of the region is adjacent; the image's border does not count.
     fn is_edge(&self, (x, y): (i64, i64)) -> bool {
         let beside = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
@@ -179,17 +174,11 @@ mod tests {
 
     /// An image of `inside` where `holds`, of gray elsewhere, and the mask of it.
     fn picture(holds: impl Fn(i64, i64) -> bool, inside: impl Fn(i64, i64) -> [u8; 3]) -> (LabImage, Mask) {
-        let (w, h) = (120, 160);
-        let mut mask = Mask::empty(Region::whole(w, h));
-        let mut bytes = Vec::new();
-        for y in 0..i64::from(h) {
-            for x in 0..i64::from(w) {
-                mask.data_mut()[(y * i64::from(w) + x) as usize] = u8::from(holds(x, y));
-                bytes.extend(if holds(x, y) { inside(x, y) } else { [90, 95, 92] });
-            }
-        }
-        let image = RgbImage::from_rgb(w, h, bytes).unwrap();
-        (LabImage::of(&image, 480).unwrap(), mask)
+        let whole = Region::whole(120, 160);
+        let holds = |x: u32, y: u32| holds(x.into(), y.into());
+        let color = |x, y| if holds(x, y) { inside(x.into(), y.into()) } else { [90, 95, 92] };
+        let image = RgbImage::painted(whole.width, whole.height, color);
+        (LabImage::of(&image, 480).unwrap(), Mask::of(whole, whole.pixels().map(|(x, y)| holds(x, y))))
     }
 
     const SKIN: [u8; 3] = [222, 170, 140];

@@ -15,7 +15,7 @@ use super::likeness::{Likeness, unlike_skin};
 use super::mixture::Mixture;
 use super::photograph::measured;
 use super::refusal::is_other_object;
-use crate::components::components;
+use crate::components::largest;
 use crate::distance::inside;
 use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
@@ -87,22 +87,18 @@ impl SkinSegmentation {
 fn without_threads(mask: Mask) -> Mask {
     let distances = inside(&mask);
     let least = THREAD * distances.iter().copied().fold(0.0, f32::max);
-    let mut core = Mask::empty(mask.region());
-    core.data_mut().iter_mut().zip(&distances).for_each(|(c, d)| *c = u8::from(*d <= least));
+    let core = Mask::of(mask.region(), distances.iter().map(|d| *d <= least));
     // Outside of the core, pixels farther from it than the disc's radius are threads.
     let from_core = inside(&core);
-    let mut opened = Mask::empty(mask.region());
-    let kept = mask.data().iter().zip(&from_core).map(|(m, d)| u8::from(*m != 0 && *d < least + 0.5));
-    opened.data_mut().iter_mut().zip(kept).for_each(|(o, k)| *o = k);
-    let Some(largest) = components(&opened, 1).into_iter().next() else { return mask };
-    let mut alone = Mask::empty(mask.region());
-    alone.add(&largest.runs);
-    alone
+    let kept = mask.data().iter().zip(&from_core).map(|(m, d)| *m != 0 && *d < least + 0.5);
+    let opened = Mask::of(mask.region(), kept);
+    largest(&opened).map_or(mask, |hand| hand.alone(opened.region()))
 }
 
 /// The bonus of fingers for a region's score.
 fn finger_bonus(thing: &Mask) -> f64 {
-    let stretched = measured(thing).map_or(0, |shape| shape.fingers.iter().filter(|f| f.score > 0.5).count());
+    let stretched =
+        measured(thing).map_or(0, |(shape, ..)| shape.fingers.iter().filter(|f| f.score > 0.5).count());
     if (1..=5).contains(&stretched) { FINGERS } else { 0.0 }
 }
 
@@ -210,12 +206,9 @@ fn mean_field(lab: &LabImage, odds: &[f32]) -> Vec<f32> {
 
 /// Scales a mask to the size of a larger version of its image.
 fn enlarge(mask: &Mask, lab: &LabImage) -> Mask {
-    let mut large = Mask::empty(Region::whole(lab.width as u32, lab.height as u32));
-    for y in 0..lab.height {
-        let row = mask.row(y * mask.height() / lab.height);
-        for x in 0..lab.width {
-            large.data_mut()[y * lab.width + x] = row[x * mask.width() / lab.width];
-        }
-    }
-    large
+    let large = Region::whole(lab.width as u32, lab.height as u32);
+    let small = |(x, y): (u32, u32)| {
+        mask.row(y as usize * mask.height() / lab.height)[x as usize * mask.width() / lab.width] != 0
+    };
+    Mask::of(large, large.pixels().map(small))
 }

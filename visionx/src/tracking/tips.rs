@@ -13,7 +13,7 @@ use super::edges::edge_map;
 use super::hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 use crate::camera::StereoCalibration;
 use crate::frame::StereoFrame;
-use crate::tracking::hand::candidates::{HandCandidate, find_near_too};
+use crate::tracking::hand::candidates::{HandCandidate, find};
 use crate::tracking::hand::depth::Ranging;
 use crate::tracking::hand::shape::Finger;
 
@@ -103,7 +103,7 @@ impl FingerTipTracking {
             self.filter.clear();
             (self.skin, self.last) = (None, None);
         }
-        match find_near_too(frame, frame.depth.as_ref(), &self.calibration, self.skin) {
+        match find(frame, frame.depth.as_ref(), &self.calibration, self.skin, true) {
             Some(hand) => self.seen(frame, &hand),
             None => self.unseen(frame),
         }
@@ -120,14 +120,8 @@ impl FingerTipTracking {
         let candidates: Vec<TipCandidate> =
             candidates.into_iter().filter(|c| at_a_finger(c, &hand.shape.fingers, radius)).collect();
         let mut tips = if self.settings.filter {
-            let palm = hand.shape.palm;
-            let told = FilterFrame {
-                focal: camera.focal,
-                center: camera.center,
-                radius,
-                palm,
-                candidates: &candidates,
-            };
+            let (focal, center, palm) = (camera.focal, camera.center, hand.shape.palm);
+            let told = FilterFrame { focal, center, radius, palm, candidates: &candidates };
             self.filter.update(&told, &mut self.rng);
             self.followed(radius)
         } else {
@@ -139,7 +133,7 @@ impl FingerTipTracking {
                 shift(tip, votes);
             }
             let metres = 0.9 * radius * hand.z / camera.focal;
-            tip.in_left = ranging.as_ref().and_then(|r| r.point(&tip.px, metres));
+            tip.in_left = ranging.as_ref().and_then(|r| r.point(&tip.px, &tip.px, metres));
         }
         tips
     }

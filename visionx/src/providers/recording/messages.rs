@@ -104,9 +104,26 @@ impl Messages {
         }
         Ok(None)
     }
+
+    /// The same of the file at `path`; damage is its end, unless it is at the beginning.
+    pub(super) fn next_whole(
+        &mut self,
+        path: &Path,
+        at_beginning: bool,
+    ) -> Result<Option<Message>, RecordingError> {
+        match self.next() {
+            Err(source) if at_beginning => Err(RecordingError::Mcap { path: path.into(), source }),
+            next => Ok(next.unwrap_or_default()),
+        }
+    }
 }
 
 impl Message {
+    /// The provider's name, or else the topic.
+    pub(super) fn provider(&self) -> &str {
+        self.topic.strip_prefix("/image/").unwrap_or(&self.topic)
+    }
+
     pub(super) fn frame(self) -> Result<RawFrame, MessageError> {
         if self.schema == SCHEMA {
             return Ok(unpack(self.data)?.1);

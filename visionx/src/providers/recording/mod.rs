@@ -7,7 +7,7 @@
 
 mod messages;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -65,11 +65,8 @@ pub enum RecordingError {
         has: String,
     },
     /// A frame or description cannot be encoded.
-    #[error("a frame cannot be written: {what}")]
-    Encode {
-        /// The reason.
-        what: String,
-    },
+    #[error("a frame cannot be written: {0}")]
+    Encode(String),
 }
 
 /// Provides the frames of a recording.
@@ -96,26 +93,16 @@ struct Play {
 
 /// The images of a recording: by provider or topic the number of frames and the first and last stamp, ns. A truncated
 /// recording gives its frames up to the damage.
-///
-/// # Errors
-/// [`RecordingError`].
 pub fn recorded(path: &Path) -> Result<BTreeMap<String, (u64, u64, u64)>, RecordingError> {
     let mut messages = Messages::open(path)?;
     let mut found: BTreeMap<String, (u64, u64, u64)> = BTreeMap::new();
-    loop {
-        match messages.next() {
-            Ok(Some(message)) => {
-                let name = message.topic.strip_prefix("/image/").unwrap_or(&message.topic).to_owned();
-                let entry = found.entry(name).or_insert((0, message.stamp_ns, message.stamp_ns));
-                *entry = (entry.0 + 1, entry.1.min(message.stamp_ns), entry.2.max(message.stamp_ns));
-            }
-            Ok(None) => return Ok(found),
-            Err(source) if found.is_empty() => {
-                return Err(RecordingError::Mcap { path: path.into(), source });
-            }
-            Err(_) => return Ok(found),
-        }
+    while let Some(message) = messages.next_whole(path, found.is_empty())? {
+        let entry = found.entry(message.provider().to_owned());
+        let (count, first, last) = entry.or_insert((0, message.stamp_ns, message.stamp_ns));
+        *count += 1;
+        (*first, *last) = ((*first).min(message.stamp_ns), (*last).max(message.stamp_ns));
     }
+    Ok(found)
 }
 
 impl RecordingProvider {
@@ -173,27 +160,17 @@ impl RecordingProvider {
 /// The topic and description of the requested images.
 fn find(path: &Path, wanted: Option<&str>) -> Result<(String, ProviderDescription), RecordingError> {
     let mut messages = Messages::open(path)?;
-    let mut has = BTreeMap::new();
-    let fits = |topic: &str| wanted.is_none_or(|w| topic == w || topic.strip_prefix("/image/") == Some(w));
-    loop {
-        match messages.next() {
-            Ok(Some(message)) if fits(&message.topic) => {
-                let name = message.topic.strip_prefix("/image/").unwrap_or(&message.topic).to_owned();
-                let topic = message.topic.clone();
-                let described = messages.descriptions.remove(&name);
-                let description = described.unwrap_or_else(|| describe(&name, message));
-                return Ok((topic, description));
-            }
-            Ok(Some(message)) => {
-                has.insert(message.topic, ());
-            }
-            Ok(None) => break,
-            Err(source) if has.is_empty() => return Err(RecordingError::Mcap { path: path.into(), source }),
-            Err(_) => break,
+    let mut has = BTreeSet::new();
+    while let Some(message) = messages.next_whole(path, has.is_empty())? {
+        if wanted.is_none_or(|wanted| message.topic == wanted || message.provider() == wanted) {
+            let (topic, name) = (message.topic.clone(), message.provider().to_owned());
+            let described = messages.descriptions.remove(&name);
+            return Ok((topic, described.unwrap_or_else(|| describe(&name, message))));
         }
+        has.insert(message.topic);
     }
     let of = wanted.map(|w| format!(" of `{w}`")).unwrap_or_default();
-    let names: Vec<String> = has.into_keys().collect();
+    let names: Vec<String> = has.into_iter().collect();
     let has = if names.is_empty() { "none".into() } else { names.join(", ") };
     Err(RecordingError::Nothing { path: path.into(), of, has })
 }
@@ -201,19 +178,12 @@ fn find(path: &Path, wanted: Option<&str>) -> Result<(String, ProviderDescriptio
 /// The description of a topic that is known only by its first message.
 fn describe(name: &str, first: Message) -> ProviderDescription {
     let images = first.frame().map(|frame| frame.images).unwrap_or_default();
-    let images = images.iter().map(|image| ImageDescription {
-        role: image.role().into(),
-        format: image.format(),
-        width: image.width(),
-        height: image.height(),
-        camera: None,
-    });
     ProviderDescription {
         name: name.trim_start_matches('/').replace('/', "_"),
         about: "a recording".into(),
         frame_id: "camera".into(),
         rate_hz: None,
-        images: images.collect(),
+        images: images.iter().map(|image| ImageDescription::of(image, None)).collect(),
     }
 }
 

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 
 use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{DepthImage, RgbImage, StereoFrame};
+use crate::mask::Region;
 use crate::providers::{CameraModel, NotStereo};
 
 /// Marks a pixel without a source.
@@ -23,6 +24,7 @@ const MIN_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 #[derive(Clone, Debug)]
 pub struct Rectification {
     calibration: StereoCalibration,
+    /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
     left_from_rectified: UnitQuaternion<f64>,
     eyes: [Vec<Source>; 2],
 }
@@ -73,11 +75,6 @@ impl Rectification {
     /// The calibration of the rectified pair.
     pub fn calibration(&self) -> StereoCalibration {
         self.calibration
-    }
-
-    /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
-    pub fn left_from_rectified(&self) -> UnitQuaternion<f64> {
-        self.left_from_rectified
     }
 
     /// Rectifies the frame; black where the cameras saw nothing. `None` when an image has another size. A depth image
@@ -190,7 +187,7 @@ fn table(
         Some(Source { at, part, depth: (1.0 / ray.z) as f32 })
     };
     let nothing = Source { at: NOTHING, part: [0; 2], depth: 0.0 };
-    let pixels = (0..ideal.height).flat_map(|y| (0..ideal.width).map(move |x| (x, y)));
+    let pixels = Region::whole(ideal.width, ideal.height).pixels();
     pixels.map(|(x, y)| source(x, y).unwrap_or(nothing)).collect()
 }
 

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Point3, Translation3};
 
 use super::*;
 use crate::epipolar::EpipolarCheck;
+use crate::mask::Region;
 use crate::providers::Distortion;
 
 const SIZE: (u32, u32) = (320, 240);
@@ -54,19 +55,16 @@ fn wall(from: &Point3<f64>, ray: &Vector3<f64>) -> (u8, f64) {
 }
 
 fn see(eye: &CameraModel) -> (RgbImage, DepthImage) {
-    let (mut data, mut depths) = (Vec::new(), Vec::new());
-    for y in 0..SIZE.1 {
-        for x in 0..SIZE.0 {
-            let ray = ray_of(eye, &Point2::new(f64::from(x), f64::from(y))).unwrap();
-            let from = Point3::from(eye.reference_from_camera.translation.vector);
-            // The ray's z in the camera is 1, so that the length along it is the depth.
-            let (value, depth) = wall(&from, &(eye.reference_from_camera.rotation * ray));
-            data.extend([value; 3]);
-            depths.push(depth as f32);
-        }
-    }
-    let depth = DepthImage { width: SIZE.0, height: SIZE.1, data: depths };
-    (RgbImage::from_rgb(SIZE.0, SIZE.1, data).unwrap(), depth)
+    let mut data = Vec::new();
+    let image = RgbImage::painted(SIZE.0, SIZE.1, |x, y| {
+        let ray = ray_of(eye, &Point2::new(f64::from(x), f64::from(y))).unwrap();
+        let from = Point3::from(eye.reference_from_camera.translation.vector);
+        // The ray's z in the camera is 1, so that the length along it is the depth.
+        let (value, depth) = wall(&from, &(eye.reference_from_camera.rotation * ray));
+        data.push(depth as f32);
+        [value; 3]
+    });
+    (image, DepthImage { width: SIZE.0, height: SIZE.1, data })
 }
 
 fn seen() -> StereoFrame {
@@ -83,26 +81,24 @@ fn the_ideal_pair_sees_what_its_own_rays_meet() {
     let StereoCalibration { camera, baseline } = rectification.calibration();
     let offset = right.reference_from_camera.translation.vector;
     assert!((baseline - offset.norm()).abs() < 1e-12);
-    let reference_from_rectified = left.reference_from_camera.rotation * rectification.left_from_rectified();
+    let reference_from_rectified = left.reference_from_camera.rotation * rectification.left_from_rectified;
     // The rectified right camera is at the real one's position.
     assert!((reference_from_rectified * Vector3::x() * baseline - offset).norm() < 1e-12);
     for (eye, image) in [(&left, &rectified.left), (&right, &rectified.right)] {
         let from = Point3::from(eye.reference_from_camera.translation.vector);
         let (mut looked, mut off, mut depth_off) = (0u32, 0.0, 0.0f64);
-        for y in 0..SIZE.1 {
-            for x in 0..SIZE.0 {
-                let ray = reference_from_rectified * camera.ray(&Point2::new(f64::from(x), f64::from(y)));
-                let (value, depth) = wall(&from, &ray);
-                let pixel = image.pixel(x, y);
-                if pixel == [0; 3] {
-                    continue;
-                }
-                looked += 1;
-                off += f64::from(pixel[0].abs_diff(value));
-                let given = rectified.depth.as_ref().unwrap().data[(y * SIZE.0 + x) as usize];
-                if image == &rectified.left && given > 0.0 {
-                    depth_off = depth_off.max((f64::from(given) - depth).abs());
-                }
+        for (x, y) in Region::whole(SIZE.0, SIZE.1).pixels() {
+            let ray = reference_from_rectified * camera.ray(&Point2::new(f64::from(x), f64::from(y)));
+            let (value, depth) = wall(&from, &ray);
+            let pixel = image.pixel(x, y);
+            if pixel == [0; 3] {
+                continue;
+            }
+            looked += 1;
+            off += f64::from(pixel[0].abs_diff(value));
+            let given = rectified.depth.as_ref().unwrap().at(x, y);
+            if eye == &left && given > 0.0 {
+                depth_off = depth_off.max((f64::from(given) - depth).abs());
             }
         }
         assert!(looked > SIZE.0 * SIZE.1 * 8 / 10, "most of the picture is kept: {looked}");
@@ -161,6 +157,6 @@ fn what_is_no_pair_is_refused() {
     let mut folded = right;
     folded.distortion = Distortion { k1: -80.0, ..Distortion::default() };
     assert!((0.06..0.065).contains(&reach(&folded)));
-    let frame = StereoFrame { left: RgbImage::from_rgb(1, 1, vec![0; 3]).unwrap(), ..seen() };
+    let frame = StereoFrame { left: RgbImage::painted(1, 1, |_, _| [0; 3]), ..seen() };
     assert!(Rectification::new(&left, &right, SIZE).unwrap().rectify(&frame).is_none());
 }

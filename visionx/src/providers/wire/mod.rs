@@ -90,23 +90,14 @@ pub enum WireError {
     #[error("the header cannot be read: {0}")]
     Header(#[from] CodecError),
     /// The sender's version is incompatible.
-    #[error("the header has version {found}; this side understands version {VERSION}")]
-    Version {
-        /// The version found.
-        found: u32,
-    },
+    #[error("the header has version {0}; this side understands version {VERSION}")]
+    Version(u32),
     /// The message's encoding is not that of a frame.
-    #[error("it is sent as `{found}`; this side understands `{ENCODING}`")]
-    Encoding {
-        /// The encoding found.
-        found: String,
-    },
+    #[error("it is sent as `{0}`; this side understands `{ENCODING}`")]
+    Encoding(String),
     /// Too many images, two of one role, a name that is too long, or an invalid pose.
-    #[error("the header says something that no frame can be: {what}")]
-    Impossible {
-        /// The reason.
-        what: &'static str,
-    },
+    #[error("the header says something that no frame can be: {0}")]
+    Impossible(&'static str),
     /// Header and payload do not match.
     #[error("the header speaks of {expected} bytes, and there are {actual}")]
     Length {
@@ -132,11 +123,8 @@ pub enum WireError {
         source: FileError,
     },
     /// The size or format of an encoded image differs from its header.
-    #[error("the image `{role}` is not what its header says")]
-    Other {
-        /// Its role.
-        role: String,
-    },
+    #[error("the image `{0}` is not what its header says")]
+    Other(String),
 }
 
 impl Header {
@@ -160,10 +148,7 @@ impl Header {
         StreamPosition { epoch: self.epoch, number: self.number }
     }
 
-    /// Encodes the header.
-    ///
-    /// # Errors
-    /// [`WireError::Header`]; does not happen with a header made here.
+    /// Encodes the header, which cannot fail with a header made here.
     pub fn encode(&self) -> Result<Vec<u8>, WireError> {
         Ok(armarium_bus::encode(self)?)
     }
@@ -175,7 +160,7 @@ impl Header {
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
         let version: Versioned = decode_leniently(bytes, BOUNDS)?;
         if version.version != VERSION {
-            return Err(WireError::Version { found: version.version });
+            return Err(WireError::Version(version.version));
         }
         let header: Self = decode_leniently(bytes, BOUNDS)?;
         header.check()?;
@@ -183,7 +168,7 @@ impl Header {
     }
 
     fn check(&self) -> Result<(), WireError> {
-        let impossible = |what| Err(WireError::Impossible { what });
+        let impossible = |what| Err(WireError::Impossible(what));
         let long = |name: &str| name.len() > MAX_NAME_BYTES;
         if self.images.len() > MAX_IMAGES {
             return impossible("it has too many images");
@@ -271,7 +256,7 @@ impl ImageHeader {
 
     fn decoded(&self, file: &[u8]) -> Result<Vec<u8>, WireError> {
         let coded = |source| WireError::Coded { role: self.role.clone(), source };
-        let other = || WireError::Other { role: self.role.clone() };
+        let other = || WireError::Other(self.role.clone());
         // Before decoding the pixels: the header's size was checked, the file's must be equal.
         if size_of(Cursor::new(file)).map_err(coded)? != (self.width, self.height) {
             return Err(other());
@@ -284,10 +269,7 @@ impl ImageHeader {
     }
 }
 
-/// Packs a frame into one message, with raw images.
-///
-/// # Errors
-/// As [`Header::encode`].
+/// Packs a frame into one message, with raw images; see [`Header::encode`].
 pub fn pack(frame: &RawFrame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireError> {
     let header = Header::raw(frame, epoch, sent_ns).encode()?;
     let mut bytes = Vec::with_capacity(4 + header.len() + frame.bytes());
@@ -298,9 +280,6 @@ pub fn pack(frame: &RawFrame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireE
 }
 
 /// Unpacks a [`pack`]ed message to its header and frame. The frame keeps the message's bytes.
-///
-/// # Errors
-/// [`WireError`].
 pub fn unpack(message: Vec<u8>) -> Result<(Header, RawFrame), WireError> {
     let short = WireError::Length { expected: 4, actual: message.len() as u64 };
     let Some((length, rest)) = message.split_first_chunk::<4>() else { return Err(short) };

@@ -8,9 +8,9 @@ use super::relief::{MIN_RELIEF, standing_out, surroundings};
 use super::shape::{HandShape, hand_shape};
 use super::skin::{HalfImage, SkinClusters};
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::components::{Component, components};
+use crate::components::{Component, components, largest};
 use crate::frame::{DepthImage, StereoFrame};
-use crate::mask::{Mask, Region};
+use crate::mask::{Mask, Region, beside};
 
 /// Search range of a hand's distance, m.
 const DEPTHS: (f64, f64) = (0.2, 1.7);
@@ -74,37 +74,25 @@ struct Search<'a> {
     preferred: ([f32; 2], f64),
 }
 
-/// Finds the region most similar to a hand. `skin`: the log-chromaticities of the hand in the last frames.
+/// Finds the region most similar to a hand. `skin`: the log-chromaticities of the hand in the last frames. `near`: a hand may be so near
+/// that it hides much of the background, so that the nearest region is searched alone at first.
 pub(crate) fn find(
     frame: &StereoFrame,
     depth: Option<&DepthImage>,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
+    near: bool,
 ) -> Option<HandCandidate> {
-    let out = depth.and_then(|d| standing_out(d, &calibration.camera));
-    find_among(frame, depth, calibration, skin, out)
-}
-
-/// As [`find`], for hands so near that they hide much of the background: first searches the nearest region alone.
-pub(crate) fn find_near_too(
-    frame: &StereoFrame,
-    depth: Option<&DepthImage>,
-    calibration: &StereoCalibration,
-    skin: Option<[f32; 2]>,
-) -> Option<HandCandidate> {
-    let nearest = depth.and_then(|d| nearest(d, &calibration.camera));
-    nearest
-        .and_then(|out| find_among(frame, depth, calibration, skin, Some(out)))
-        .or_else(|| find(frame, depth, calibration, skin))
+    let among = |out: Option<Mask>| find_among(frame, depth, calibration, skin, out);
+    let nearest = depth.filter(|_| near).and_then(|d| nearest(d, &calibration.camera));
+    let found = nearest.and_then(|out| among(Some(out)));
+    found.or_else(|| among(depth.and_then(|d| standing_out(d, &calibration.camera))))
 }
 
 /// The pixels at most a hand's length behind the nearest one; `None` when that is not near or they fill most of
 /// the image.
 fn nearest(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
-    let pixels = depth.width as usize * depth.height as usize;
-    if (depth.width, depth.height) != (camera.width, camera.height) || depth.data.len() != pixels {
-        return None;
-    }
+    let depth = camera.usable(depth)?;
     let mut sampled: Vec<f32> = depth.data.iter().copied().step_by(37).filter(|z| *z > 0.0).collect();
     let place = sampled.len() / 100;
     if sampled.len() < 100 {
@@ -114,11 +102,9 @@ fn nearest(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
     if front > NEAR {
         return None;
     }
-    let mut mask = Mask::empty(Region::whole(depth.width, depth.height));
-    for (m, z) in mask.data_mut().iter_mut().zip(&depth.data) {
-        *m = u8::from(*z > 0.0 && *z < front + HAND_LENGTH);
-    }
-    (mask.count() < pixels * 7 / 10).then_some(mask)
+    let near = depth.data.iter().map(|z| *z > 0.0 && *z < front + HAND_LENGTH);
+    let mask = Mask::of(Region::whole(depth.width, depth.height), near);
+    (mask.count() < depth.data.len() * 7 / 10).then_some(mask)
 }
 
 /// Finds the hand among the pixels `out` that stand out by depth; without a depth image, by stereo.
@@ -177,25 +163,18 @@ impl Search<'_> {
             return hand;
         };
         let colored = self.clusters.mask(image, region, label, None);
-        let region = hand.region();
-        let w = region.width as usize;
-        let is_hole = |i: usize| {
-            let (x, y) = (region.x as usize + i % w, region.y as usize + i / w);
-            depth.data[y * depth.width as usize + x] == 0.0
-        };
-        let follows: Vec<bool> =
-            colored.data().iter().enumerate().map(|(i, bit)| *bit != 0 && is_hole(i)).collect();
+        let colors = colored.data().iter().zip(hand.region().pixels());
+        let follows: Vec<bool> = colors.map(|(bit, (x, y))| *bit != 0 && depth.at(x, y) == 0.0).collect();
         let both = colored.data().iter().zip(hand.data()).zip(&follows);
         let elsewhere = both.filter(|((color, hand), hole)| **color != 0 && **hand == 0 && !**hole).count();
         if elsewhere as f64 > OWN_COLOR * hand.count() as f64 {
             return hand;
         }
+        let size = [hand.width(), hand.height()];
         let bits = hand.data_mut();
         let mut open: Vec<usize> = (0..bits.len()).filter(|i| bits[*i] != 0).collect();
         while let Some(i) = open.pop() {
-            let (left, right) = ((i % w > 0).then(|| i - 1), (i % w + 1 < w).then_some(i + 1));
-            let around = [left, right, i.checked_sub(w), Some(i + w)].into_iter().flatten();
-            for next in around.filter(|next| follows.get(*next) == Some(&true)) {
+            for next in beside(i, size).filter(|next| follows[*next]) {
                 if std::mem::replace(&mut bits[next], 1) == 0 {
                     open.push(next);
                 }
@@ -269,8 +248,7 @@ impl Search<'_> {
 
 /// The median depth of a region (half resolution), m; `None` without measurements.
 fn median_depth(thing: &Component, depth: &DepthImage) -> Option<f64> {
-    let at = |x: u32, y: u32| depth.data.get(2 * y as usize * depth.width as usize + 2 * x as usize).copied();
-    let pixels = thing.runs.iter().flat_map(|run| (run.x0..run.x1).filter_map(|x| at(x, run.y)));
+    let pixels = thing.runs.iter().flat_map(|run| (run.x0..run.x1).map(|x| depth.at(2 * x, 2 * run.y)));
     median(pixels.filter(|z| *z > 0.0).collect())
 }
 
@@ -288,9 +266,5 @@ fn full(half: &Region, size: (u32, u32)) -> Region {
 
 /// Keeps only the largest component.
 fn own_pixels(mask: &Mask) -> Mask {
-    let mut own = Mask::empty(mask.region());
-    if let Some(largest) = components(mask, 1).first() {
-        own.add(&largest.runs);
-    }
-    own
+    largest(mask).map_or_else(|| Mask::empty(mask.region()), |own| own.alone(mask.region()))
 }

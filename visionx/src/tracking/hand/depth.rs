@@ -46,20 +46,9 @@ impl<'a> Ranging<'a> {
         Point3::from(self.calibration.camera.ray(px) * self.z)
     }
 
-    /// The surface point of the hand at a pixel, measured from the part within `radius` m of it, left camera
-    /// frame, m.
-    pub(crate) fn point(&self, px: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
-        self.point_by(px, px, radius)
-    }
-
-    /// As [`Self::point`], measured about a `neighbour` of the pixel.
-    pub(crate) fn point_by(
-        &self,
-        px: &Point2<f64>,
-        neighbour: &Point2<f64>,
-        radius: f64,
-    ) -> Option<Point3<f64>> {
-        let z = self.depth(neighbour, radius)?;
+    /// The surface point of the hand at a pixel, measured from the part within `radius` m of another one beside it, left camera frame, m.
+    pub(crate) fn point(&self, px: &Point2<f64>, beside: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
+        let z = self.depth(beside, radius)?;
         Some(Point3::from(self.calibration.camera.ray(px) * z))
     }
 
@@ -90,14 +79,11 @@ fn depth_about(depth: &DepthImage, hand: &Mask, center: &Point2<f64>, radius: f6
         return None;
     }
     let (cx, cy, r) = (center.x.round() as i64, center.y.round() as i64, radius.clamp(2.0, 60.0) as i64);
-    let mut values = Vec::new();
-    for (y, x) in (cy - r..=cy + r).flat_map(|y| (cx - r..=cx + r).map(move |x| (y, x))) {
-        let inside = (x - cx) * (x - cx) + (y - cy) * (y - cy) <= r * r && hand.contains(x, y);
-        let value =
-            depth.data.get((y.max(0) as usize).saturating_mul(depth.width as usize) + x.max(0) as usize);
-        values.extend(value.filter(|z| inside && **z > 0.0));
-    }
-    median(values)
+    let about = (cy - r..=cy + r).flat_map(|y| (cx - r..=cx + r).map(move |x| (x, y)));
+    let inside =
+        |&(x, y): &(i64, i64)| (x - cx) * (x - cx) + (y - cy) * (y - cy) <= r * r && hand.contains(x, y);
+    let depths = about.filter(inside).map(|(x, y)| depth.at(x as u32, y as u32));
+    median(depths.filter(|z| *z > 0.0).collect())
 }
 
 /// One camera's image with the mask of the hand.
@@ -178,15 +164,12 @@ mod tests {
 
     /// A shaded disc about (`x`, 40).
     fn eye(x: f64) -> (RgbImage, Mask) {
-        let mut mask = Mask::empty(Region::whole(120, 80));
-        let mut data = Vec::new();
-        for i in 0..120 * 80 {
-            let (dx, dy) = ((i % 120) as f64 - x, (i / 120) as f64 - 40.0);
-            let inside = dx * dx + dy * dy <= 400.0;
-            mask.data_mut()[i] = u8::from(inside);
-            data.extend([if inside { (120.0 + 4.0 * dx + 2.0 * dy) as u8 } else { 10 }; 3]);
-        }
-        (RgbImage::from_rgb(120, 80, data).unwrap(), mask)
+        let off = |u: u32, v: u32| (f64::from(u) - x, f64::from(v) - 40.0);
+        let inside = |(dx, dy): (f64, f64)| dx * dx + dy * dy <= 400.0;
+        let level = |(dx, dy)| if inside((dx, dy)) { (120.0 + 4.0 * dx + 2.0 * dy) as u8 } else { 10 };
+        let whole = Region::whole(120, 80);
+        let mask = Mask::of(whole, whole.pixels().map(|(u, v)| inside(off(u, v))));
+        (RgbImage::painted(120, 80, |u, v| [level(off(u, v)); 3]), mask)
     }
 
     #[test]

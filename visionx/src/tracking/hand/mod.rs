@@ -75,8 +75,6 @@ pub struct HandObservation {
     pub hidden: f64,
     /// Bounding box of the hand in the left image.
     pub bounding_box: Region,
-    /// The frame's stamp, ns.
-    pub stamp_ns: u64,
 }
 
 impl HandObservation {

@@ -2,13 +2,14 @@
 
 use nalgebra::{Point2, Point3, Vector3};
 
-use super::candidates::{HandCandidate, find, find_near_too};
+use super::candidates::{HandCandidate, find};
 use super::depth::Ranging;
 use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
-use crate::components::largest_bounds;
+use crate::components::largest;
 use crate::frame::{DepthImage, StereoFrame};
+use crate::mask::Region;
 use crate::tracking::{GestureRecognizer, SeenFinger};
 
 /// Finds a hand and its gesture in a stream of frames.
@@ -123,11 +124,11 @@ impl HandObserver {
         if self.memory.as_ref().is_some_and(forgotten) {
             self.memory = None;
         }
-        let find = if self.near { find_near_too } else { find };
         // A depth camera has no depth along the hand's outline.
         let filled = frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0)).map(DepthImage::filled);
         let depth = filled.as_ref().or(frame.depth.as_ref());
-        let hand = find(frame, depth, &self.calibration, self.memory.as_ref().map(|m| m.skin))?;
+        let skin = self.memory.as_ref().map(|m| m.skin);
+        let hand = find(frame, depth, &self.calibration, skin, self.near)?;
         self.observe(frame, &hand)
     }
 
@@ -137,7 +138,7 @@ impl HandObserver {
         let surface = ranging.palm(&shape.palm);
         let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
         // A hand that extends beyond the image counts as hidden.
-        let bounds = largest_bounds(&hand.left);
+        let bounds = largest(&hand.left).map_or_else(Region::default, |hand| hand.bounds);
         let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
         let hidden = if cut { 1.0 } else { hand.hidden };
         let whole = hidden < HandObservation::HIDDEN;
@@ -167,7 +168,7 @@ impl HandObserver {
             .iter()
             .map(|f| Fingertip {
                 px: f.tip,
-                in_left: ranging.point_by(&f.tip, &inside_tip(f), TIP_RADIUS),
+                in_left: ranging.point(&f.tip, &inside_tip(f), TIP_RADIUS),
                 score: f.score,
             })
             .collect();
@@ -191,7 +192,6 @@ impl HandObserver {
             fingertips,
             hidden,
             bounding_box: bounds,
-            stamp_ns: frame.stamp_ns,
         })
     }
 
@@ -245,8 +245,8 @@ impl HandObserver {
 fn direction(ranging: &Ranging<'_>, fingers: &[&Finger]) -> Option<Vector3<f64>> {
     let mut sum = Vector3::zeros();
     for finger in fingers {
-        let tip = ranging.point_by(&finger.tip, &inside_tip(finger), TIP_RADIUS)?;
-        let base = ranging.point(&finger.base, BASE_RADIUS)?;
+        let tip = ranging.point(&finger.tip, &inside_tip(finger), TIP_RADIUS)?;
+        let base = ranging.point(&finger.base, &finger.base, BASE_RADIUS)?;
         sum += (tip - base).try_normalize(1e-6)?;
     }
     sum.try_normalize(1e-6)
@@ -283,6 +283,11 @@ mod tests {
         (things, direction)
     }
 
+    /// What is seen in a single frame.
+    fn look(frame: &StereoFrame) -> Option<HandObservation> {
+        HandObserver::new(CALIBRATION).update(frame)
+    }
+
     #[test]
     fn knows_the_gestures_from_both_sides() {
         for gesture in Gesture::ALL {
@@ -290,7 +295,7 @@ mod tests {
                 [(-1.6, true, 0.0), (0.2, false, 0.3), (2.9, true, -0.3)].into_iter().enumerate()
             {
                 let (things, _) = scene(gesture, roll, back, tilt);
-                let seen = HandObserver::new(CALIBRATION).update(&frame(&things, 0, i as u64)).unwrap();
+                let seen = look(&frame(&things, 0, i as u64)).unwrap();
                 assert_eq!(seen.gesture, gesture, "roll {roll} back {back} tilt {tilt}: {seen:?}");
                 assert!((seen.palm_in_left - PLACE).norm() < 0.04, "{:?}", seen.palm_in_left);
             }
@@ -303,11 +308,11 @@ mod tests {
             for (i, gesture) in Gesture::ALL.into_iter().enumerate() {
                 let (mut things, _) = hand(gesture, PLACE, 0.2, i % 2 == 0, 0.2);
                 things.push(table(color));
-                let seen = HandObserver::new(CALIBRATION).update(&frame_with_depth(&things, 0, 1)).unwrap();
+                let seen = look(&frame_with_depth(&things, 0, 1)).unwrap();
                 assert_eq!(seen.gesture, gesture, "{color:?}: {seen:?}");
                 assert!((seen.palm_in_left - PLACE).norm() < 0.03, "{:?}", seen.palm_in_left);
             }
-            assert_eq!(HandObserver::new(CALIBRATION).update(&frame_with_depth(&[table(color)], 0, 2)), None);
+            assert_eq!(look(&frame_with_depth(&[table(color)], 0, 2)), None);
         }
     }
 
@@ -316,17 +321,17 @@ mod tests {
         let (things, _) = scene(Gesture::Fist, 0.2, false, 0.3);
         let mut flat = frame(&things, 0, 1);
         let (width, height) = (flat.left.width(), flat.left.height());
-        assert!(HandObserver::new(CALIBRATION).update(&flat).is_some());
+        assert!(look(&flat).is_some());
         let data = vec![0.7; (width * height) as usize];
         flat.depth = Some(DepthImage { width, height, data });
-        assert_eq!(HandObserver::new(CALIBRATION).update(&flat), None);
+        assert_eq!(look(&flat), None);
     }
 
     #[test]
     fn measures_where_a_finger_points() {
         for (roll, tilt) in [(-1.6, 0.0), (0.3, 0.3), (0.3, -0.3), (2.5, 0.2)] {
             let (things, direction) = scene(Gesture::PointOne, roll, true, tilt);
-            let seen = HandObserver::new(CALIBRATION).update(&frame(&things, 0, 1)).unwrap();
+            let seen = look(&frame(&things, 0, 1)).unwrap();
             let angle = seen.pointing.unwrap().angle(&direction);
             assert!(angle < 0.2, "{angle} at roll {roll}, tilt {tilt}");
             let tip = seen.fingertips[0].in_left.unwrap();
@@ -347,7 +352,7 @@ mod tests {
         let covered: Vec<Thing> = open.iter().cloned().chain([arm]).collect();
         let mut observer = HandObserver::new(CALIBRATION);
         let at = |i: u64, things: &[Thing]| frame_with_depth(things, i * 66_000_000, i);
-        let alone = HandObserver::new(CALIBRATION).update(&at(0, &covered)).unwrap();
+        let alone = look(&at(0, &covered)).unwrap();
         assert!(alone.confidence < 0.5, "{alone:?}");
         let whole = (0..4).filter_map(|i| observer.update(&at(i, &open))).last().unwrap();
         assert_eq!(whole.gesture, Gesture::PointTwo);
@@ -363,11 +368,8 @@ mod tests {
         let mut lone = LoneFinger::default();
         assert_eq!(lone.agreement(), 1.0);
         for frame in 0..100 {
-            lone.add(&Vector3::new(
-                (0.1 * f64::from(frame % 3)).cos(),
-                (0.1 * f64::from(frame % 3)).sin(),
-                0.0,
-            ));
+            let (sin, cos) = (0.1 * f64::from(frame % 3)).sin_cos();
+            lone.add(&Vector3::new(cos, sin, 0.0));
         }
         assert!(lone.agreement() > 0.98, "it trembles: {}", lone.agreement());
         for frame in 0..100 {

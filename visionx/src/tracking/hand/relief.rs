@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::camera::PinholeCamera;
 use crate::frame::DepthImage;
-use crate::mask::{Mask, Region};
+use crate::mask::{Mask, Region, beside};
 
 /// Edge of the square, m, at the distance of the scene's middle.
 const SQUARE: f64 = 0.30;
@@ -39,11 +39,9 @@ const STEP: f32 = 0.012;
 
 /// The pixels in front of the background; `None` unless the depth image has the camera's size.
 pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
+    let depth = camera.usable(depth)?;
     let (w, h) = (depth.width as usize, depth.height as usize);
-    if (depth.width, depth.height) != (camera.width, camera.height)
-        || depth.data.len() != w * h
-        || w.min(h) < 2 * STRIDE
-    {
+    if w.min(h) < 2 * STRIDE {
         return None;
     }
     let coarse = Grid::sampled(depth);
@@ -68,12 +66,8 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option
 
 /// Removes from a mask what continues a plane outside of it. All pixels of the mask are among `nearer`.
 fn reconstruct(mask: &mut Mask, nearer: &[usize], depth: &DepthImage, plane: &Plane) {
-    let (w, n) = (depth.width as usize, depth.data.len());
-    let around = |i: usize| {
-        let left = (!i.is_multiple_of(w)).then(|| i - 1);
-        let right = (i % w + 1 < w).then_some(i + 1);
-        [left, right, i.checked_sub(w), (i + w < n).then_some(i + w)].into_iter().flatten()
-    };
+    let (w, h) = (depth.width as usize, depth.height as usize);
+    let around = |i: usize| beside(i, [w, h]);
     let flat = |i: usize| (plane.depth(i % w, i / w) - depth.data[i]).abs() < FLAT;
     let bits = mask.data_mut();
     let reached = |bits: &[u8], i: usize| flat(i) && around(i).any(|j| bits[j] == 0 && flat(j));
@@ -134,25 +128,17 @@ pub(super) fn surroundings(mask: &Mask, depth: &DepthImage) -> Surroundings {
         inside.then(|| depth.data.get(y as usize * depth.width as usize + x as usize).copied()).flatten()
     };
     let (mut outline, mut deeper, mut nearer) = (0usize, 0usize, 0usize);
-    let region = mask.region();
-    for y in i64::from(region.y)..i64::from(region.y + region.height) {
-        for x in i64::from(region.x)..i64::from(region.x + region.width) {
-            if !mask.contains(x, y) {
+    for (x, y) in mask.pixels() {
+        for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+            if mask.contains(x + dx, y + dy) {
                 continue;
             }
-            for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
-                if mask.contains(x + dx, y + dy) {
-                    continue;
-                }
-                let (Some(here), Some(there)) = (at(x - 2 * dx, y - 2 * dy), at(x + 4 * dx, y + 4 * dy))
-                else {
-                    continue;
-                };
-                outline += 1;
-                // Pixels without a measurement count as far away.
-                deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
-                nearer += usize::from(here > 0.0 && there > 0.0 && there < here - STEP);
-            }
+            let (here, there) = (at(x - 2 * dx, y - 2 * dy), at(x + 4 * dx, y + 4 * dy));
+            let Some((here, there)) = here.zip(there) else { continue };
+            outline += 1;
+            // Pixels without a measurement count as far away.
+            deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
+            nearer += usize::from(here > 0.0 && there > 0.0 && there < here - STEP);
         }
     }
     let share = |count: usize| if outline == 0 { 0.0 } else { count as f64 / outline as f64 };
@@ -226,10 +212,8 @@ impl Grid {
                 }
                 let [x, y] = pixel(i).map(|at| at as f64);
                 surface.push([x, y, 1.0 / f64::from(self.data[i])]);
-                let sides = [(!i.is_multiple_of(w), i.wrapping_sub(1)), (i % w + 1 < w, i + 1)];
-                let rows = [(i >= w, i.wrapping_sub(w)), (i + w < n, i + w)];
-                let next = sides.into_iter().chain(rows).filter(|(inside, _)| *inside).map(|(_, j)| j);
-                open.extend(next.filter(|&j| free[j] && (self.data[j] - self.data[i]).abs() < SMOOTH));
+                let near = |&j: &usize| free[j] && (self.data[j] - self.data[i]).abs() < SMOOTH;
+                open.extend(beside(i, [w, n / w]).filter(near));
             }
             if surface.len() as f64 > MIN_PLANE_SHARE * n as f64 {
                 surfaces.push(surface);

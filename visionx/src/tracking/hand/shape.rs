@@ -7,7 +7,7 @@
 use nalgebra::{Point2, Vector2};
 
 use super::paths::along;
-use crate::components::{components, fill_holes};
+use crate::components::{fill_holes, largest};
 use crate::distance::{inside, to_set};
 use crate::mask::{Mask, Region};
 use crate::tracking::SeenFinger;
@@ -74,10 +74,7 @@ pub(crate) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
     let inside = inside(&grid.mask);
     let (palm, palm_radius) = largest_disc(&grid.mask, &inside)?;
     let opening = (OPENING / CELL) as f32;
-    let mut core = Mask::empty(grid.mask.region());
-    for (c, d) in core.data_mut().iter_mut().zip(&inside) {
-        *c = u8::from(*d > opening);
-    }
+    let core = Mask::of(grid.mask.region(), inside.iter().map(|d| *d > opening));
     let from_core = to_set(&core);
     let fingers = fingers(&grid, &inside, &from_core, &palm);
     Some(HandShape {
@@ -105,17 +102,13 @@ impl Grid {
             return None;
         }
         let origin = Vector2::new(f64::from(region.x), f64::from(region.y)) - Vector2::repeat(1.5 * step);
-        let mut grid = Self { mask: Mask::empty(Region::whole(w, h)), origin, step };
-        for y in 0..h {
-            for x in 0..w {
-                let p = grid.pixel(&Point2::new(f64::from(x), f64::from(y)));
-                let set = mask.contains(p.x.round() as i64, p.y.round() as i64);
-                grid.mask.data_mut()[(y * w + x) as usize] = u8::from(set);
-            }
-        }
-        let largest = components(&grid.mask, 1).into_iter().next()?;
-        grid.mask = Mask::empty(grid.mask.region());
-        grid.mask.add(&largest.runs);
+        let whole = Region::whole(w, h);
+        let mut grid = Self { mask: Mask::empty(whole), origin, step };
+        let is_set = |(x, y)| {
+            let p = grid.pixel(&Point2::new(f64::from(x), f64::from(y)));
+            mask.contains(p.x.round() as i64, p.y.round() as i64)
+        };
+        grid.mask = largest(&Mask::of(whole, whole.pixels().map(is_set)))?.alone(whole);
         // Fills holes of fewer cells than this.
         fill_holes(&mut grid.mask, (HOLE / (CELL * CELL)).ceil() as u32);
         Some(grid)

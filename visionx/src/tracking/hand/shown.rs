@@ -120,7 +120,6 @@ mod tests {
             fingertips: Vec::new(),
             hidden: 0.0,
             bounding_box: Region { x: 0, y: 0, width: 1, height: 1 },
-            stamp_ns: 0,
         }
     }
 
@@ -143,16 +142,10 @@ mod tests {
         assert_eq!(after(1.0, Some(hand(pair, 0.2))), shown, "half hidden by the robot's arm");
         assert_eq!(after(1.0, Some(hand(fist, 0.3))), shown);
         assert_eq!(after(0.2, None), shown, "hidden for some frames");
-        assert_eq!(
-            after(3.0, Some(HandObservation { confidence: 0.5, ..hand(pair, 0.2) })),
-            shown,
-            "doubtful"
-        );
-        assert_eq!(
-            after(3.0, Some(HandObservation { hidden: 0.2, ..hand(pair, 0.2) })),
-            shown,
-            "hidden for long"
-        );
+        let doubtful = HandObservation { confidence: 0.5, ..hand(pair, 0.2) };
+        assert_eq!(after(3.0, Some(doubtful)), shown, "doubtful");
+        let hidden = HandObservation { hidden: 0.2, ..hand(pair, 0.2) };
+        assert_eq!(after(3.0, Some(hidden)), shown, "hidden for long");
         assert_eq!(after(2.5, Some(hand(pair, 0.2))), (Some(pair), Some(0.2)), "changed");
         assert_eq!(after(0.6, None), (None, None), "gone");
         assert!(over_time.shown.seen_at.is_some(), "but where it was is known for a while");

@@ -122,30 +122,25 @@ impl SkinClusters {
 
     /// The pixels of a half-resolution image that have a cluster's colour, optionally only those `among`.
     pub(super) fn half_mask(&self, image: &HalfImage, label: u8, among: Option<&Mask>) -> Mask {
-        let mut mask = Mask::empty(Region::whole(image.width, image.height));
-        for (i, (m, p)) in mask.data_mut().iter_mut().zip(&image.data).enumerate() {
-            let alike = self.logs.bin(*p).is_some_and(|bin| self.labels[bin] == label);
-            *m = u8::from(alike && image.is_among(i, among));
-        }
-        mask
+        let pixels = image.data.iter().enumerate();
+        let bits = pixels.map(|(i, p)| self.has_label(*p, label) && image.is_among(i, among));
+        Mask::of(Region::whole(image.width, image.height), bits)
+    }
+
+    /// Whether a colour given by sums of four pixels is of a cluster.
+    fn has_label(&self, sums: [u16; 3], label: u8) -> bool {
+        self.logs.bin(sums).is_some_and(|bin| self.labels[bin] == label)
     }
 
     /// The pixels of a part of an image that have a cluster's colour, smoothed by a majority filter; optionally
     /// only those `among`.
     pub(super) fn mask(&self, image: &RgbImage, region: Region, label: u8, among: Option<&Mask>) -> Mask {
         let region = region.clipped(image.width(), image.height());
-        let mut mask = Mask::empty(region);
-        let (w, h) = (region.width as usize, region.height as usize);
-        for y in 0..h {
-            for x in 0..w {
-                let (column, row) = (region.x + x as u32, region.y + y as u32);
-                let among = among.is_none_or(|m| m.contains(i64::from(column), i64::from(row)));
-                let p = row_sum(image, column, row);
-                mask.data_mut()[y * w + x] =
-                    u8::from(among && self.logs.bin(p).is_some_and(|b| self.labels[b] == label));
-            }
-        }
-        mask.majority()
+        let bit = |(x, y)| {
+            let among = among.is_none_or(|m| m.contains(i64::from(x), i64::from(y)));
+            among && self.has_label(row_sum(image, x, y), label)
+        };
+        Mask::of(region, region.pixels().map(bit)).majority()
     }
 }
 
@@ -232,19 +227,12 @@ mod tests {
 
     /// A shaded image: left half one colour, right half another, noise of two grey levels.
     fn picture(left: [u8; 3], right: [u8; 3]) -> RgbImage {
-        let (w, h) = (120u32, 80u32);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let mut data = Vec::new();
-        for y in 0..h {
-            for x in 0..w {
-                let shade = 0.6 + 0.4 * f64::from(y) / f64::from(h);
-                for c in if x < w / 2 { left } else { right } {
-                    let noise: f64 = rng.sample(StandardNormal);
-                    data.push((f64::from(c) * shade + 2.0 * noise).round() as u8);
-                }
-            }
-        }
-        RgbImage::from_rgb(w, h, data).unwrap()
+        let mut noisy = |c: f64| (c + 2.0 * rng.sample::<f64, _>(StandardNormal)).round() as u8;
+        RgbImage::painted(120, 80, |x, y| {
+            let shade = 0.6 + 0.4 * f64::from(y) / 80.0;
+            (if x < 60 { left } else { right }).map(|c| noisy(f64::from(c) * shade))
+        })
     }
 
     #[test]
@@ -255,9 +243,8 @@ mod tests {
         assert_eq!(clusters.labels().count(), 2, "{:?}", clusters.peaks);
         for label in clusters.labels() {
             let mask = clusters.mask(&image, Region::whole(120, 80), label, None);
-            let [left, right] = [0..60, 60..120].map(|xs| {
-                xs.flat_map(|x| (0..80).map(move |y| (x, y))).filter(|&(x, y)| mask.contains(x, y)).count()
-            });
+            let (left, right): (Vec<_>, Vec<_>) = mask.pixels().partition(|(x, _)| *x < 60);
+            let [left, right] = [left.len(), right.len()];
             let (own, other) = (left.max(right), left.min(right));
             assert!(own > 4600 && other < 100, "{own} {other}");
             assert!(clusters.half_mask(&half, label, None).count() > 1100);

@@ -1,0 +1,162 @@
+//! Compaction: everything is written into a new file, without free space between, while commits go on. What they store
+//! meanwhile is stored there, too; then the new file takes the old one's place.
+
+use std::mem::take;
+use std::path::Path;
+use std::sync::Arc;
+
+use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
+
+use super::backup::copy;
+use super::error::Fault;
+use super::retain::each_record;
+use super::write::EntityCache;
+use super::{
+    BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED, REMOVED, StoreError,
+    beside,
+};
+use crate::entity::{EntityId, Snapshot};
+
+/// Bytes of records that are copied in one transaction.
+const COPIED_BYTES: usize = 1 << 20;
+/// When so few snapshots were stored during the last round, the rest is copied while commits wait.
+const FEW: usize = 64;
+
+/// Snapshots that were stored while the file was copied, and the versions that were noted as given.
+#[derive(Default)]
+pub(super) struct Journal {
+    snapshots: Vec<Arc<Snapshot>>,
+    given: Vec<(Option<EntityId>, u64)>,
+}
+
+impl LongTermMemory {
+    /// Writes everything into a new file, in full chunks, and puts that in the place of the old one. Commits go on meanwhile,
+    /// and wait for a few writes at the end. Needs as much free space as the file has content. A file of an earlier program
+    /// gets checksums by it. Returns whether the file has changed.
+    ///
+    /// # Errors
+    /// When the disk fails, or a commit meanwhile; nothing is changed then.
+    pub fn compact(&self) -> Result<bool, StoreError> {
+        let _alone = self.upkeep.lock();
+        let Some(path) = &self.path else { return Ok(false) };
+        let fresh = beside(path);
+        let replaced = self.replace(path, &fresh);
+        *self.journal.lock() = None;
+        if replaced.is_err() {
+            let _ = std::fs::remove_file(&fresh).is_ok();
+        }
+        self.release();
+        replaced.map(|()| true)
+    }
+
+    /// Notes what is stored, if the file is being copied. Called by the writer.
+    pub(super) fn journal(&self, snapshots: &[Arc<Snapshot>], given: &[(Option<&EntityId>, u64)]) {
+        if let Some(journal) = &mut *self.journal.lock() {
+            journal.snapshots.extend_from_slice(snapshots);
+            journal.given.extend(given.iter().map(|(id, version)| (id.cloned(), *version)));
+        }
+    }
+
+    fn replace(&self, path: &Path, fresh: &Path) -> Result<(), StoreError> {
+        let to = Self::open_file(fresh.display().to_string(), fresh.into(), false)?;
+        let memo = self.memo.lock();
+        *self.journal.lock() = Some(Journal::default());
+        let memo = self.with(|database| {
+            let from = database.begin_read()?;
+            // The others of a shared file have to wait, because only this process keeps a journal.
+            let kept_memo = self.shared.then_some(memo);
+            copy_rows(&from, &to)?;
+            copy_records(&from, &to)?;
+            drop(from);
+            to.compact_alone()?;
+            while self.catch_up(&to)? > FEW {}
+            let mut memo = kept_memo.unwrap_or_else(|| self.memo.lock());
+            memo.clear();
+            self.catch_up(&to)?;
+            let failed = |e: std::io::Error| self.failed(&format!("the new file: {e}"));
+            std::fs::rename(fresh, path).map_err(failed)?;
+            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
+            Ok(memo)
+        })?;
+        let new = to.database.write().take();
+        let old = std::mem::replace(&mut *self.database.write(), new);
+        drop(memo);
+        self.closed(old);
+        Ok(())
+    }
+
+    /// Returns free space between pages, in a file that nobody else uses.
+    fn compact_alone(&self) -> Result<(), StoreError> {
+        let mut open = self.database.write();
+        let mut database =
+            open.take().and_then(Arc::into_inner).ok_or_else(|| self.failed("it is in use"))?;
+        self.contained(|| Ok(database.compact()?))?;
+        *open = Some(Arc::new(database));
+        Ok(())
+    }
+
+    /// Stores in the copy what was stored since the last time. Returns how many snapshots.
+    fn catch_up(&self, to: &Self) -> Result<usize, StoreError> {
+        let journal = self.journal.lock().as_mut().map(take);
+        let journal = journal.ok_or_else(|| self.failed("a commit has failed while it was copied"))?;
+        let given: Vec<_> = journal.given.iter().map(|(id, version)| (id.as_ref(), *version)).collect();
+        to.persist_with(&journal.snapshots, &given)?;
+        Ok(journal.snapshots.len())
+    }
+}
+
+/// Copies all rows but those of records.
+fn copy_rows(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault> {
+    let copied = to.with(|to| {
+        copy(from, to, ENTITIES)?;
+        copy(from, to, BLOBS)?;
+        copy(from, to, BLOB_USES)?;
+        copy(from, to, REMOVED)?;
+        copy(from, to, GIVEN)?;
+        copy(from, to, NAMED)?;
+        copy(from, to, META)
+    });
+    Ok(copied?)
+}
+
+/// Copies the records that are in the index: first those of `kept`, which are older.
+fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault> {
+    let (chunks, kept, index) = (from.open_table(CHUNKS)?, from.open_table(KEPT)?, from.open_table(INDEX)?);
+    let mut next_chunk = 0;
+    for keeps in [true, false] {
+        let mut rows = chunks.iter()?.peekable();
+        while rows.peek().is_some() {
+            let part = to.write(|writer: &mut super::write::Writer<'_>, _: &EntityCache| {
+                (writer.totals.next_chunk, writer.keeps) = (next_chunk, keeps);
+                let mut bytes = 0;
+                for row in rows.by_ref() {
+                    let (number, chunk) = row?;
+                    let (number, chunk) = (number.value(), chunk.value());
+                    if kept.get(number)?.is_some() != keeps {
+                        continue;
+                    }
+                    let mut offset = 0;
+                    each_record(chunk, |head, record| {
+                        let place = index.get((head.number, head.version))?.map(|row| row.value());
+                        if place.is_some_and(|row| (row.0, row.1 as usize) == (number, offset)) {
+                            writer.move_record(record, head)?;
+                        }
+                        offset += record.len();
+                        Ok(())
+                    })?;
+                    // `move_record` counts the new ones.
+                    writer.totals.bytes = writer.totals.bytes.saturating_sub(chunk.len() as u64);
+                    bytes += chunk.len();
+                    if bytes >= COPIED_BYTES {
+                        break;
+                    }
+                }
+                writer.close_chunk()?;
+                Ok((writer.totals.next_chunk, true))
+            });
+            next_chunk = part?;
+        }
+    }
+    Ok(())
+}
