@@ -53,20 +53,25 @@ impl LongTermMemory {
 }
 
 fn copy_all(from: &ReadTransaction, to: &Database) -> Result<(), Fault> {
-    copy(from, to, ENTITIES)?;
     copy(from, to, INDEX)?;
     copy(from, to, CHUNKS)?;
-    copy(from, to, BLOBS)?;
-    copy(from, to, BLOB_USES)?;
     copy(from, to, AGES)?;
     copy(from, to, KEPT)?;
+    copy_all_but_records(from, to)
+}
+
+/// Copies what is not of records: names, blobs, versions, and what the file says of itself.
+pub(super) fn copy_all_but_records(from: &ReadTransaction, to: &Database) -> Result<(), Fault> {
+    copy(from, to, ENTITIES)?;
+    copy(from, to, BLOBS)?;
+    copy(from, to, BLOB_USES)?;
     copy(from, to, REMOVED)?;
     copy(from, to, GIVEN)?;
     copy(from, to, NAMED)?;
     copy(from, to, META)
 }
 
-pub(super) fn copy<K: Key + 'static, V: Value + 'static>(
+fn copy<K: Key + 'static, V: Value + 'static>(
     from: &ReadTransaction,
     to: &Database,
     table: TableDefinition<'_, K, V>,

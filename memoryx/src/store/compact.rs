@@ -7,14 +7,11 @@ use std::sync::Arc;
 
 use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
 
-use super::backup::copy;
+use super::backup::copy_all_but_records;
 use super::error::Fault;
 use super::retain::each_record;
 use super::write::EntityCache;
-use super::{
-    BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED, REMOVED, StoreError,
-    beside,
-};
+use super::{CHUNKS, INDEX, KEPT, LongTermMemory, StoreError, beside};
 use crate::entity::{EntityId, Snapshot};
 
 /// Bytes of records that are copied in one transaction.
@@ -65,7 +62,7 @@ impl LongTermMemory {
             let from = database.begin_read()?;
             // The others of a shared file have to wait, because only this process keeps a journal.
             let kept_memo = self.shared.then_some(memo);
-            copy_rows(&from, &to)?;
+            to.with(|to| copy_all_but_records(&from, to))?;
             copy_records(&from, &to)?;
             drop(from);
             to.compact_alone()?;
@@ -104,20 +101,6 @@ impl LongTermMemory {
         to.persist_with(&journal.snapshots, &given)?;
         Ok(journal.snapshots.len())
     }
-}
-
-/// Copies all rows but those of records.
-fn copy_rows(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault> {
-    let copied = to.with(|to| {
-        copy(from, to, ENTITIES)?;
-        copy(from, to, BLOBS)?;
-        copy(from, to, BLOB_USES)?;
-        copy(from, to, REMOVED)?;
-        copy(from, to, GIVEN)?;
-        copy(from, to, NAMED)?;
-        copy(from, to, META)
-    });
-    Ok(copied?)
 }
 
 /// Copies the records that are in the index: first those of `kept`, which are older.
