@@ -14,8 +14,9 @@ use super::{
     StoreError,
 };
 
-/// Rows in one transaction of the copy.
-const ROWS: usize = 4096;
+/// Bytes that one transaction copies, with so many for each row: little enough that no commit waits long for the disk.
+pub(super) const COPIED_BYTES: usize = 256 << 10;
+const ROW_BYTES: usize = 64;
 
 impl LongTermMemory {
     /// Copies everything into a new file beside this one, and returns its path. Commits go on meanwhile, and are not in the copy.
@@ -82,8 +83,10 @@ fn copy<K: Key + 'static, V: Value + 'static>(
         let transaction = to.begin_write()?;
         {
             let mut copied = transaction.open_table(table)?;
-            for row in rows.by_ref().take(ROWS) {
+            let mut bytes = 0;
+            while let Some(row) = rows.next_if(|_| bytes < COPIED_BYTES) {
                 let (key, value) = row?;
+                bytes += ROW_BYTES + V::as_bytes(&value.value()).as_ref().len();
                 copied.insert(key.value(), value.value())?;
             }
         }

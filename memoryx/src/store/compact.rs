@@ -7,15 +7,13 @@ use std::sync::Arc;
 
 use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
 
-use super::backup::copy_all_but_records;
+use super::backup::{COPIED_BYTES, copy_all_but_records};
 use super::error::Fault;
 use super::retain::each_record;
 use super::write::EntityCache;
 use super::{CHUNKS, INDEX, KEPT, LongTermMemory, StoreError, beside};
 use crate::entity::{EntityId, Snapshot};
 
-/// Bytes of records that are copied in one transaction.
-const COPIED_BYTES: usize = 1 << 20;
 /// When so few snapshots were stored during the last round, the rest is copied while commits wait.
 const FEW: usize = 64;
 
@@ -59,12 +57,12 @@ impl LongTermMemory {
         let memo = self.memo.lock();
         *self.journal.lock() = Some(Journal::default());
         let memo = self.with(|database| {
+            // As long as this is open, no commit has the work of freeing pages: they go with the file.
             let from = database.begin_read()?;
             // The others of a shared file have to wait, because only this process keeps a journal.
             let kept_memo = self.shared.then_some(memo);
             to.with(|to| copy_all_but_records(&from, to))?;
             copy_records(&from, &to)?;
-            drop(from);
             to.compact_alone()?;
             while self.catch_up(&to)? > FEW {}
             let mut memo = kept_memo.unwrap_or_else(|| self.memo.lock());

@@ -4,7 +4,9 @@
 //! see forgotten snapshots as a gap in the versions; a name that is forgotten counts from 1 again.
 //!
 //! The work is in proportion to what is forgotten: chunks are found by their age, what stays of one is moved once, and
-//! chunks of what was moved are written again only when half of them is forgotten. So an idle store writes nothing.
+//! chunks of which something was forgotten are written again only when less than half of them is left. So an idle store writes
+//! nothing. It is done in small parts, each a transaction, so that no commit waits long. A part takes one entity after the other,
+//! whose rows in the index lie together.
 
 use std::collections::BTreeSet;
 
@@ -12,12 +14,11 @@ use redb::ReadableTable;
 
 use super::error::Fault;
 use super::write::Writer;
-use super::{LongTermMemory, StoreError, record};
+use super::{LongTermMemory, RecordPlace, StoreError, record};
 
-/// Chunks that are forgotten in one transaction, and entities of which something is, so that no commit waits long: each entity may
-/// have a page of its own in the index.
-const MAX_FORGOTTEN: usize = 8;
-const MAX_CHANGED: usize = 250;
+/// Records that one part forgets or moves. A chunk counts as at least so many.
+const MAX_RECORDS: usize = 256;
+const MIN_OF_CHUNK: usize = 16;
 
 /// What the rows of a record take in the file beside it, about: in the index, and of its entity.
 const ROW_BYTES: u64 = 100;
@@ -61,9 +62,9 @@ impl LongTermMemory {
         let oldest = self.read(|reader| reader.oldest_chunk())?;
         let is_due =
             oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes, start.snapshots));
-        let mut left = is_due;
         if is_due {
             let pinned = self.pinned()?;
+            let mut left = true;
             while left {
                 left = self.write(|writer, _| Ok((writer.forget_some(&is_over, before, &pinned)?, true)))?;
             }
@@ -104,7 +105,7 @@ impl LongTermMemory {
 }
 
 impl Writer<'_> {
-    /// Forgets what may be forgotten of the oldest chunks. Returns whether there may be more of them.
+    /// Forgets some of what may be forgotten of the oldest chunks. Returns whether there may be more.
     fn forget_some(
         &mut self,
         is_over: &impl Fn(u64, u64) -> bool,
@@ -112,108 +113,144 @@ impl Writer<'_> {
         pinned: &Pinned,
     ) -> Result<bool, Fault> {
         self.keeps = true;
-        let mut oldest = Vec::with_capacity(MAX_FORGOTTEN);
-        for row in self.ages.iter()?.take(MAX_FORGOTTEN) {
-            oldest.push(row?.0.value());
-        }
-        let is_full = oldest.len() == MAX_FORGOTTEN;
-        let (mut thin, mut changed) = (BTreeSet::new(), BTreeSet::new());
-        for (arrived_ns, chunk) in oldest {
-            if changed.len() >= MAX_CHANGED {
-                return self.thin_out(thin).map(|()| true);
-            }
+        let mut left = MAX_RECORDS;
+        while left > 0 {
+            let oldest = self.ages.first()?.map(|(key, _)| key.value());
             let over = is_over(self.totals.bytes, self.totals.snapshots);
-            if !over && arrived_ns >= before {
-                return self.thin_out(thin).map(|()| false);
-            }
-            self.ages.remove((arrived_ns, chunk))?;
+            let Some((arrived_ns, chunk)) = oldest.filter(|(arrived_ns, _)| over || *arrived_ns < before)
+            else {
+                return Ok(false);
+            };
             let newest = if arrived_ns == 0 { self.newest_arrival_in(chunk)? } else { arrived_ns };
-            if !over && newest >= before {
+            let done = if over || newest < before {
+                self.clear(chunk, arrived_ns, before, left, pinned)?
+            } else {
+                self.ages.remove((arrived_ns, chunk))?;
                 self.ages.insert((newest, chunk), ())?;
-                continue;
-            }
-            for (head, record) in self.take_records(chunk)? {
-                changed.insert(head.number);
-                self.forget_or_move(head, &record, pinned, &mut thin)?;
-            }
+                0
+            };
+            left = left.saturating_sub(done.max(MIN_OF_CHUNK));
         }
-        self.thin_out(thin).map(|()| is_full)
+        Ok(true)
     }
 
-    /// Forgets a record of a chunk that was taken, or moves it if it stays. `thin`: the chunks of `kept` of which less than
-    /// half is left.
-    fn forget_or_move(
+    /// Forgets or moves what is in a chunk, until so many records are done. Returns how many that were.
+    fn clear(
+        &mut self,
+        chunk: u64,
+        arrived_ns: u64,
+        before: u64,
+        most: usize,
+        pinned: &Pinned,
+    ) -> Result<usize, Fault> {
+        let mut done = 0;
+        for (head, place, record) in self.records_of(chunk)? {
+            if done >= most {
+                return Ok(done);
+            }
+            if !self.is_at(head, place)? {
+                continue;
+            }
+            done += self.forget_old(head, before, most - done, pinned)?;
+            if done < most && self.is_at(head, place)? {
+                self.forget_entity_or_move(head, &record, pinned)?;
+                self.leave(place)?;
+                done += 1;
+            }
+        }
+        if done < most {
+            self.ages.remove((arrived_ns, chunk))?;
+            self.remove_chunk(chunk)?;
+        }
+        Ok(done)
+    }
+
+    /// Whether the index has this record at this place.
+    fn is_at(&self, head: record::Head, place: RecordPlace) -> Result<bool, Fault> {
+        let row = self.index.get((head.number, head.version))?;
+        Ok(row.is_some_and(|row| (row.value().0, row.value().1) == (place.0, place.1)))
+    }
+
+    /// Forgets the versions of an entity that go with this one, at most so many: those before it that were kept as the newest, and
+    /// all that are old enough, but for the newest. Returns how many.
+    fn forget_old(
+        &mut self,
+        head: record::Head,
+        before: u64,
+        most: usize,
+        pinned: &Pinned,
+    ) -> Result<usize, Fault> {
+        let mut old = Vec::new();
+        let mut rows = self.index.range((head.number, 0)..=(head.number, u64::MAX))?.peekable();
+        while let Some(row) = rows.next() {
+            let (key, place) = row?;
+            let (version, place) = (key.value().1, place.value());
+            if rows.peek().is_none() || old.len() == most {
+                break;
+            }
+            let goes = version == head.version
+                || version < head.version && self.kept.get(place.0)?.is_some()
+                || record::times(&self.record(place)?)?.1 < before;
+            if goes && !pinned.contains(&(head.number, version)) {
+                old.push(place);
+            } else if !goes && version > head.version {
+                break;
+            }
+        }
+        drop(rows);
+        for place in &old {
+            let bytes = self.record(*place)?;
+            self.forget(&bytes, record::head(&bytes)?)?;
+            self.leave(*place)?;
+        }
+        Ok(old.len())
+    }
+
+    /// Forgets an entity of which only its removal is left, or moves a record that stays.
+    fn forget_entity_or_move(
         &mut self,
         head: record::Head,
         record: &[u8],
         pinned: &Pinned,
-        thin: &mut BTreeSet<u64>,
     ) -> Result<(), Fault> {
         let mut versions = self.index.range((head.number, 0)..=(head.number, u64::MAX))?;
-        let newest = versions.next_back().transpose()?.map(|(key, _)| key.value().1);
-        let oldest = versions.next().transpose()?.map(|(key, _)| key.value().1);
+        let is_alone = versions.next().is_some() && versions.next().is_none();
         drop(versions);
-        if oldest.is_some_and(|oldest| oldest < head.version) {
-            self.forget_kept_before(head, pinned, thin)?;
-        }
-        let is_pinned = pinned.contains(&(head.number, head.version));
-        if newest != Some(head.version) && !is_pinned {
-            return self.forget(record, head);
-        }
-        let is_alone = newest == Some(head.version) && !is_pinned && record::is_removal(record);
-        let is_alone =
-            is_alone && self.index.range((head.number, 0)..(head.number, head.version))?.next().is_none();
-        if is_alone && self.forget_entity(record, head)? {
+        let goes = is_alone && record::is_removal(record) && !pinned.contains(&(head.number, head.version));
+        if goes && self.forget_entity(record, head)? {
             return Ok(());
         }
         self.move_record(record, head)
     }
 
-    /// Forgets the versions of an entity before one that is itself old enough, as far as they were kept as the newest.
-    fn forget_kept_before(
-        &mut self,
-        head: record::Head,
-        pinned: &Pinned,
-        thin: &mut BTreeSet<u64>,
-    ) -> Result<(), Fault> {
-        let mut older = Vec::new();
-        for row in self.index.range((head.number, 0)..(head.number, head.version))? {
-            let (key, row) = row?;
-            older.push((key.value().1, row.value()));
+    /// Counts what is left of a chunk when the index has a record of it no more. What is empty is removed, and what is less than
+    /// half full is the next to be written again.
+    fn leave(&mut self, place: RecordPlace) -> Result<(), Fault> {
+        let (chunk, bytes) = (place.0, u64::from(place.2));
+        let left = match self.kept.get(chunk)?.map(|left| left.value()) {
+            Some(left) => left.saturating_sub(bytes),
+            None => self.records_of(chunk)?.iter().map(|(_, place, _)| u64::from(place.2)).sum(),
+        };
+        if left == 0 {
+            return self.remove_chunk(chunk);
         }
-        for (version, row) in older {
-            let live = self.kept.get(row.0)?.map(|live| live.value());
-            let Some(live) = live.filter(|_| !pinned.contains(&(head.number, version))) else { continue };
-            let bytes = self.record(row)?;
-            self.forget(&bytes, record::head(&bytes)?)?;
-            let live = live.saturating_sub(u64::from(row.2));
-            self.kept.insert(row.0, live)?;
-            let length = self.chunks.get(row.0)?.map_or(0, |chunk| chunk.value().len() as u64);
-            if 2 * live < length {
-                thin.insert(row.0);
-            }
+        self.kept.insert(chunk, left)?;
+        let length = self.chunks.get(chunk)?.map_or(0, |chunk| chunk.value().len() as u64);
+        if 2 * left < length && 2 * (left + bytes) >= length {
+            self.ages.insert((0, chunk), ())?;
         }
         Ok(())
     }
 
-    /// Writes again what is left of chunks.
-    fn thin_out(&mut self, thin: BTreeSet<u64>) -> Result<(), Fault> {
-        thin.into_iter().try_for_each(|chunk| self.move_chunk(chunk))
-    }
-
-    /// Moves the records of a chunk of `kept` that are in the index to the end.
-    fn move_chunk(&mut self, chunk: u64) -> Result<(), Fault> {
-        self.take_records(chunk)?.into_iter().try_for_each(|(head, record)| self.move_record(&record, head))
-    }
-
-    /// Removes a chunk, and returns the records of it that are not forgotten.
-    fn take_records(&mut self, chunk: u64) -> Result<Vec<(record::Head, Vec<u8>)>, Fault> {
-        let bytes = self.take_chunk(chunk)?;
+    /// The records of a chunk that are in the index.
+    fn records_of(&self, chunk: u64) -> Result<Vec<(record::Head, RecordPlace, Vec<u8>)>, Fault> {
+        let bytes = self.chunks.get(chunk)?;
+        let bytes = bytes.as_ref().map_or(&[][..], |bytes| bytes.value());
         let (mut offset, mut records) = (0, Vec::new());
-        each_record(&bytes, |head, record| {
+        each_record(bytes, |head, record| {
             let row = self.index.get((head.number, head.version))?.map(|row| row.value());
-            if row.is_some_and(|row| (row.0, row.1 as usize) == (chunk, offset)) {
-                records.push((head, record.to_vec()));
+            if let Some(row) = row.filter(|row| (row.0, row.1 as usize) == (chunk, offset)) {
+                records.push((head, row, record.to_vec()));
             }
             offset += record.len();
             Ok(())

@@ -320,13 +320,12 @@ impl<'t> Writer<'t> {
         Ok(())
     }
 
-    /// Removes a chunk and returns its bytes.
-    pub(super) fn take_chunk(&mut self, chunk: u64) -> Result<Vec<u8>, Fault> {
-        let taken = self.chunks.remove(chunk)?;
-        let bytes = taken.map(|v| v.value().to_vec()).unwrap_or_default();
+    /// Removes a chunk of which nothing is in the index.
+    pub(super) fn remove_chunk(&mut self, chunk: u64) -> Result<(), Fault> {
+        let length = self.chunks.remove(chunk)?.map_or(0, |removed| removed.value().len());
         self.kept.remove(chunk)?;
-        self.totals.bytes = self.totals.bytes.saturating_sub(bytes.len() as u64);
-        Ok(bytes)
+        self.totals.bytes = self.totals.bytes.saturating_sub(length as u64);
+        Ok(())
     }
 
     /// Writes the last chunk and the totals; returns the facts learned about entities, and whether facts about others are
