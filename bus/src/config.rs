@@ -34,7 +34,8 @@ pub struct Tls {
 pub struct SessionConfig {
     /// The role on the network.
     pub mode: Mode,
-    /// Listening endpoints, `tcp/127.0.0.1:0`; port 0 selects a free one.
+    /// Listening endpoints, `tcp/127.0.0.1:0`; port 0 selects a free one. The socket of `unixsock-stream//run/alice/socket` is for
+    /// processes of the same user only.
     pub listen: Vec<String>,
     /// Endpoints to connect to, `tcp/127.0.0.1:7447`; it retries forever.
     pub connect: Vec<String>,
@@ -75,6 +76,13 @@ impl SessionConfig {
     /// The default, connected to these endpoints.
     pub fn connected_to(endpoints: &[String]) -> Self {
         Self { connect: endpoints.to_vec(), ..Self::default() }
+    }
+
+    /// The files of the Unix sockets that it listens on.
+    pub(crate) fn sockets(&self) -> impl Iterator<Item = &str> {
+        let listen = self.listen.iter().filter(|_| self.mode != Mode::Client);
+        let files = listen.filter_map(|endpoint| endpoint.strip_prefix("unixsock-stream/"));
+        files.filter_map(|file| file.split(['?', '#']).next())
     }
 
     /// Zenoh's configuration.
@@ -162,6 +170,7 @@ mod tests {
             ("tcp/127.9.9.9:7447#iface=lo", true),
             ("tls/[::1]:7447", true),
             ("tcp/localhost:7447", true),
+            ("unixsock-stream//run/alice/socket", true),
             ("tcp/0.0.0.0:7447", false),
             ("tcp/[::]:7447", false),
             ("udp/10.0.0.1:7447", false),

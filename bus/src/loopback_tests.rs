@@ -27,6 +27,24 @@ async fn who_is_there_is_known_at_once() {
     drop(token);
 }
 
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_unix_socket_is_for_its_user_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("socket");
+    let endpoint = format!("unixsock-stream/{}", socket.display());
+    let config = SessionConfig { listen: vec![endpoint.clone()], ..SessionConfig::default() };
+    let far = Session::open(&config).await.unwrap();
+    let rights = std::os::unix::fs::PermissionsExt::mode(&std::fs::metadata(&socket).unwrap().permissions());
+    assert_eq!(rights & 0o777, 0o600);
+    let config =
+        SessionConfig { mode: crate::session::Mode::Client, ..SessionConfig::connected_to(&[endpoint]) };
+    let near = Session::open(&config).await.unwrap();
+    let service = keys::alive("alice", "agent").unwrap();
+    let _token = far.alive(&service).await.unwrap();
+    while near.is_alive(&KeyPattern::from(service.clone()), Duration::from_secs(60)).await != Ok(true) {}
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_put_arrives_with_what_names_it() {
     let (one, two) = pair().await;

@@ -79,6 +79,17 @@ pub struct Interest {
     _publisher: zenoh::pubsub::Publisher<'static>,
 }
 
+/// Zenoh makes sockets with the rights that any new file has.
+#[cfg(unix)]
+fn only_for_this_user(socket: &str) -> std::io::Result<()> {
+    std::fs::set_permissions(socket, std::os::unix::fs::PermissionsExt::from_mode(0o600))
+}
+
+#[cfg(not(unix))]
+fn only_for_this_user(_: &str) -> std::io::Result<()> {
+    Ok(())
+}
+
 impl Session {
     /// Opens a session.
     ///
@@ -100,6 +111,10 @@ impl Session {
             opening = opening.with_shm_clients(segments::clients());
         }
         let zenoh = opening.await.map_err(failed)?;
+        for socket in config.sockets() {
+            only_for_this_user(socket)
+                .map_err(|error| failed(format!("the rights of `{socket}`: {error}")))?;
+        }
         Ok(Self { zenoh: Arc::new(Opened(zenoh)), turns: Turns::default() })
     }
 

@@ -78,3 +78,68 @@ fn what_was_observed_is_exported_for_foxglove() {
     let named = armarium(folder.path(), &["query", "ObjectInstances", "--at", "7"], "");
     assert!(String::from_utf8_lossy(&named.stdout).contains("\"referenced_clock\":\"run\""), "{named:?}");
 }
+
+/// An image as it is kept in memory; `coding` and `data` say how.
+fn image(version: u64, coding: &str, data: &[u8]) -> String {
+    let text = |text: &str| json!({"string": text});
+    let fields = json!({
+        "width": {"int": 64}, "height": {"int": 48}, "format": text("rgb8"), "coding": text(coding), "data": {"bytes": data},
+    });
+    let instances = json!([{"attributes": {"picture": {"map": fields}}, "confidence": 1.0}]);
+    let stamps = [version, version, version].map(|n| n * 1_000_000_000);
+    let snapshot = json!({
+        "id": "Images/door/left", "version": version, "referenced_ns": stamps[0], "sent_ns": stamps[1], "arrived_ns": stamps[2],
+        "instances": instances,
+    });
+    format!("{snapshot}\n")
+}
+
+/// Images come out as pictures that Foxglove shows, whether memory has them raw or as JPEG files.
+#[test]
+fn images_are_exported_for_foxglove() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let pixels = vec![120; 64 * 48 * 3];
+    let mut file = Vec::new();
+    let coded =
+        armarium_visionx::encode_jpeg(&mut file, &pixels, (64, 48), armarium_visionx::JpegPixel::Rgb, 85);
+    coded.expect("an image");
+    let lines = [image(1, "raw", &pixels), image(2, "jpeg", &file)].concat();
+    assert!(armarium(folder.path(), &["import", "-"], &lines).status.success());
+    let exported = armarium(folder.path(), &["export", "-o", "door.mcap"], "");
+    assert_eq!(String::from_utf8_lossy(&exported.stdout), "2 snapshots\n", "{exported:?}");
+    let recording = std::fs::read(folder.path().join("door.mcap")).expect("it is there");
+    let has = |words: &str| recording.windows(words.len()).any(|part| part == words.as_bytes());
+    assert!(has("foxglove.CompressedImage") && has("/memory/Images/door/picture/left"));
+    let mut read = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    read.current_dir(folder.path()).args(["image", "stats", "door.mcap", "--json"]);
+    let read = read.output().expect("the program of this package can be started");
+    let said = String::from_utf8_lossy(&read.stdout);
+    assert!(said.contains("\"frames\":2") && said.contains("\"sizes\":[[[64,48]]]"), "{read:?}");
+}
+
+/// What a run has kept can lie in a robot's memory beside what the robot has: each is asked by its own clock.
+#[test]
+fn a_run_is_read_beside_a_robot() {
+    let (run, robot) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+    assert!(armarium(run.path(), &["import", "-"], "").status.success());
+    assert!(armarium(run.path(), &["observe", "--provider", "run"], &cup(0.1)).status.success());
+    let kept = armarium(run.path(), &["export"], "");
+    let imported = armarium(robot.path(), &["import", "-"], &String::from_utf8_lossy(&kept.stdout));
+    assert!(imported.status.success(), "{imported:?}");
+    let put = armarium(robot.path(), &["put", "ObjectInstances/robot/cup", "--set", "class=cup"], "");
+    assert!(put.status.success(), "{put:?}");
+
+    let both = armarium(robot.path(), &["query", "ObjectInstances/*/cup"], "");
+    let both = String::from_utf8_lossy(&both.stdout).into_owned();
+    let clocks: Vec<Value> =
+        both.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect();
+    let clock = |provider: &str| {
+        let of = clocks.iter().find(|one| one["id"] == format!("ObjectInstances/{provider}/cup"));
+        of.expect("it is there")["referenced_clock"].clone()
+    };
+    assert_eq!((clock("run"), clock("robot")), ("run".into(), "day".into()));
+    let of_run = armarium(robot.path(), &["query", "ObjectInstances/run", "--at", "7"], "");
+    assert_eq!(String::from_utf8_lossy(&of_run.stdout).lines().count(), 1, "{of_run:?}");
+    let mixed = armarium(robot.path(), &["query", "ObjectInstances", "--at", "7"], "");
+    assert!(String::from_utf8_lossy(&mixed.stderr).contains("it asks by a run's time"), "{mixed:?}");
+}

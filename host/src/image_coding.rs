@@ -11,28 +11,34 @@ pub fn jpeg(quality: u8) -> Coding {
     Coding::new(&format!("jpeg:{quality}"), move |value| as_jpeg(value, quality))
 }
 
-/// An image in memory is a map of `width`, `height`, `format` (`rgb8` or `gray8`), `coding` (`raw`) and `data`, as
+/// The JPEG file of an image in memory: as it is stored, or of this quality, 1 to 100, if it is raw. `None` for a value that is no
+/// image. An image in memory is a map of `width`, `height`, `format` (`rgb8` or `gray8`), `coding` (`raw` or `jpeg`) and `data`, as
 /// for images on the network.
-fn as_jpeg(value: &Value, quality: u8) -> Option<Value> {
-    let Value::Map(fields) = value else { return None };
-    let (Value::Bytes(data), Value::String(coding)) = (fields.get("data")?, fields.get("coding")?) else {
-        return None;
+pub fn jpeg_file(value: &Value, quality: u8) -> Option<Vec<u8>> {
+    let Value::Bytes(data) = value.get("data")? else { return None };
+    match value.get("coding")?.as_str()? {
+        "jpeg" => return Some(data.clone()),
+        "raw" => {}
+        _ => return None,
+    }
+    let side = |name: &str| {
+        let length = u32::try_from(value.get(name)?.as_int()?).ok();
+        length.filter(|length| (1..=65_535).contains(length))
     };
-    let side = |name: &str| match fields.get(name)? {
-        Value::Int(length) => u32::try_from(*length).ok().filter(|length| (1..=65_535).contains(length)),
-        _ => None,
-    };
-    let (width, height) = (side("width")?, side("height")?);
-    let pixel = match fields.get("format")? {
-        Value::String(format) if format == "rgb8" => JpegPixel::Rgb,
-        Value::String(format) if format == "gray8" => JpegPixel::Gray,
+    let pixel = match value.get("format")?.as_str()? {
+        "rgb8" => JpegPixel::Rgb,
+        "gray8" => JpegPixel::Gray,
         _ => return None,
     };
-    if coding != "raw" {
-        return None;
-    }
     let mut file = Vec::new();
-    encode_jpeg(&mut file, data, (width, height), pixel, quality).ok()?;
+    encode_jpeg(&mut file, data, (side("width")?, side("height")?), pixel, quality).ok()?;
+    Some(file)
+}
+
+fn as_jpeg(value: &Value, quality: u8) -> Option<Value> {
+    let Value::Map(fields) = value else { return None };
+    let is_raw = fields.get("coding")?.as_str() == Some("raw");
+    let file = is_raw.then(|| jpeg_file(value, quality)).flatten()?;
     let mut kept: BTreeMap<String, Value> =
         fields.iter().filter(|(name, _)| *name != "data").map(|(n, v)| (n.clone(), v.clone())).collect();
     kept.insert("coding".into(), Value::String("jpeg".into()));

@@ -1,11 +1,13 @@
 //! `export -o FILE.mcap`: what memory had, on the timeline of its data, in Foxglove's schemas.
 //!
 //! Each snapshot is a JSON message on `/memory/SEGMENT/PROVIDER/ENTITY`. Its poses and places in the frame `root` are
-//! `foxglove.PoseInFrame` on `/memory/SEGMENT/PROVIDER/ATTRIBUTE/ENTITY`, and on `/tf`. Bytes, which images consist of, are left out.
+//! `foxglove.PoseInFrame` on `/memory/SEGMENT/PROVIDER/ATTRIBUTE/ENTITY`, and on `/tf`; its images are `foxglove.CompressedImage` there.
+//! Other bytes are left out.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use armarium_host::image_coding::jpeg_file;
 use armarium_memoryx::{Pattern, Query, Snapshot};
 use armarium_values::Value;
 use armarium_viewer::recorder::{Recorder, RecorderError};
@@ -14,6 +16,9 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use super::Failure;
 use super::reach::Reached;
 use super::show::json_of;
+
+/// The quality of images that memory has raw.
+const JPEG_QUALITY: u8 = 85;
 
 /// Records all snapshots that match, and returns how many.
 pub(super) async fn record(reached: &Reached, pattern: Pattern, path: &Path) -> Result<u64, Failure> {
@@ -42,9 +47,11 @@ fn put(recorder: &mut Recorder, snapshot: &Snapshot) -> Result<(), RecorderError
     let (id, time_ns) = (&snapshot.id, snapshot.referenced_ns);
     let attributes = snapshot.instance().into_iter().flat_map(|instance| instance.attributes.iter());
     for (name, value) in attributes {
+        let topic = || format!("/memory/{}/{}/{name}/{}", id.segment(), id.provider(), id.entity());
         if let Some(pose) = pose_of(value) {
-            let topic = format!("/memory/{}/{}/{name}/{}", id.segment(), id.provider(), id.entity());
-            recorder.pose(&topic, time_ns, &pose);
+            recorder.pose(&topic(), time_ns, &pose);
+        } else if let Some(file) = jpeg_file(value, JPEG_QUALITY) {
+            recorder.jpeg(&topic(), time_ns, file);
         }
     }
     let mut plain = snapshot.clone();

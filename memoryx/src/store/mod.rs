@@ -18,8 +18,8 @@
 //! | `chunks` | number, counted up | records, one after the other, up to 64 kB; a longer record has a chunk of its own |
 //! | `blobs` | SHA-256 of the content | the content: byte values of 16 kB or more |
 //! | `blob_uses` | SHA-256 of the content | how many records name it (`u64`) |
-//! | `ages` | when the newest record of a chunk arrived, ns, and the chunk's number; 0 where that is not known yet | nothing: the chunks that retention has not come to |
-//! | `kept` | number of another chunk, whose records retention has moved because they are the newest of their entities | how many of its bytes are still in the index (`u64`) |
+//! | `ages` | when the newest record of a chunk arrived, ns, and the chunk's number; 0 where that is not known yet, or retention is to come to it next | nothing: the chunks that retention is not done with |
+//! | `kept` | number of a chunk of which retention has forgotten something, or to which it has moved what stays, because it is the newest of its entity | how many of its bytes are still in the index (`u64`) |
 //! | `removed` | entity's number | its key, if it was ever removed |
 //! | `given` | entity's number; the largest `u64` for all entities that are not stored | no later version than this was given to it; at least the newest stored one where there is no row |
 //! | `named` | name (text) | a named snapshot of working memory: the time it was taken, then entity numbers and versions (`u64` each) |

@@ -449,19 +449,23 @@ impl Recorder {
     /// # Errors
     /// [`RecorderError::Encode`] when JPEG cannot hold the image.
     pub fn image(&mut self, topic: &str, t_ns: u64, image: &RgbImage) -> Result<(), RecorderError> {
-        self.tick(t_ns);
-        if !self.wants_image(topic, t_ns) {
-            return Ok(());
+        if self.wants_image(topic, t_ns) {
+            let file = jpeg(image, self.options.jpeg_quality)
+                .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
+            self.jpeg(topic, t_ns, file);
         }
-        let data = jpeg(image, self.options.jpeg_quality)
-            .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
-        self.beside(t_ns, &RunMessage::Image { topic, jpeg: &data });
+        Ok(())
+    }
+
+    /// Records an image that is a JPEG file already.
+    pub fn jpeg(&mut self, topic: &str, t_ns: u64, file: Vec<u8>) {
+        self.tick(t_ns);
+        self.beside(t_ns, &RunMessage::Image { topic, jpeg: &file });
         let next_ns = t_ns.saturating_add(self.options.image_period_ns);
         let new = || ImageTopic { channel: self.context.channel_builder(topic).build(), next_ns };
         let entry = self.images.entry(topic.to_owned()).or_insert_with(new);
         entry.next_ns = next_ns;
-        entry.channel.log_with_time(&messages::compressed_image(topic, t_ns, data), t_ns);
-        Ok(())
+        entry.channel.log_with_time(&messages::compressed_image(topic, t_ns, file), t_ns);
     }
 
     /// Records a log line on `/log`; `source` names its origin, for instance a state's path.
