@@ -37,7 +37,7 @@ states:
           Two: {transitions: {flip: One}}
 ";
 /// Rounds of paired runs.
-const ROUNDS: usize = 5;
+const ROUNDS: usize = 20;
 
 /// Processor time of all children that have ended, s.
 fn children_s() -> f64 {

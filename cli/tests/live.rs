@@ -407,11 +407,12 @@ fn foxglove_follows_a_run() {
     let address = address.unwrap_or_else(|| panic!("it is said where: {}", run.before));
     let Some((modules, _)) = browser() else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/foxglove.mjs");
-    let told = Command::new("node").arg(script).arg(modules).arg(address).output().unwrap();
+    let wanted = ["/robot/joints foxglove.JointStates", "/tf foxglove.FrameTransform"];
+    let told = Command::new("node").arg(script).arg(modules).arg(address).args(wanted).output().unwrap();
     let (out, err) = (String::from_utf8_lossy(&told.stdout), String::from_utf8_lossy(&told.stderr));
     assert!(told.status.success(), "{err}");
     let came: Json = serde_json::from_str(&out).unwrap();
-    for topic in ["/robot/joints foxglove.JointStates", "/tf foxglove.FrameTransforms"] {
+    for topic in wanted {
         assert!(came[topic].as_u64().unwrap_or(0) > 20, "{topic}: {came}");
     }
 }
