@@ -1,6 +1,7 @@
 //! Compaction: everything is written into a new file, without free space between, while commits go on. What they store
 //! meanwhile is stored there, too; then the new file takes the old one's place.
 
+use std::collections::BTreeSet;
 use std::mem::take;
 use std::path::Path;
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use super::backup::{COPIED_BYTES, copy_all_but_records};
 use super::error::Fault;
 use super::retain::each_record;
 use super::write::EntityCache;
-use super::{CHUNKS, INDEX, KEPT, LongTermMemory, StoreError, beside};
+use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, StoreError, beside};
 use crate::entity::{EntityId, Snapshot};
 
 /// When so few snapshots were stored during the last round, the rest is copied while commits wait.
@@ -101,9 +102,11 @@ impl LongTermMemory {
     }
 }
 
-/// Copies the records that are in the index: first those of `kept`, which are older.
+/// Copies the records that are in the index: first those that retention is done with, which are older.
 fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault> {
     let (chunks, kept, index) = (from.open_table(CHUNKS)?, from.open_table(KEPT)?, from.open_table(INDEX)?);
+    let aged = from.open_table(AGES)?;
+    let aged: BTreeSet<u64> = aged.iter()?.map(|row| Ok(row?.0.value().1)).collect::<Result<_, Fault>>()?;
     let mut next_chunk = 0;
     for keeps in [true, false] {
         let mut rows = chunks.iter()?.peekable();
@@ -114,7 +117,7 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
                 for row in rows.by_ref() {
                     let (number, chunk) = row?;
                     let (number, chunk) = (number.value(), chunk.value());
-                    if kept.get(number)?.is_some() != keeps {
+                    if (kept.get(number)?.is_some() && !aged.contains(&number)) != keeps {
                         continue;
                     }
                     let mut offset = 0;

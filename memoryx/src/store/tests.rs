@@ -242,3 +242,20 @@ fn what_has_changed_since_a_named_snapshot_is_said() {
     assert_eq!(said(Some("before")), [""; 0]);
     assert!(store.compare_named("nobody", None, &memory).is_err());
 }
+
+/// A chunk of which retention has forgotten a part is come to again, also after a compaction.
+#[test]
+fn a_part_of_a_chunk_is_forgotten_and_later_the_rest() {
+    let (_folder, _, store) = store();
+    let together = [snapshot("S/p/e", 1, 0, 1), snapshot("S/p/gone", 1, 50, 1), removed("S/p/gone", 2, 50)];
+    store.persist(&together).unwrap();
+    store.persist(&[snapshot("S/p/e", 2, 1, 2)]).unwrap();
+    store.persist(&[snapshot("S/p/e", 3, 60, 3)]).unwrap();
+    let retain = |now: u64| store.retain(Retention { age_ns: Some(0), bytes: None }, now).unwrap();
+    assert_eq!(retain(20).snapshots, 2, "both old ones of `e`");
+    assert!(store.verify().unwrap().is_intact());
+    store.compact().unwrap();
+    assert_eq!(retain(100).snapshots, 2, "what is gone, with its name");
+    assert_eq!(store.stats().unwrap().entities, 1);
+    assert!(store.verify().unwrap().is_intact());
+}
