@@ -143,8 +143,12 @@ impl Writer<'_> {
         most: usize,
         pinned: &Pinned,
     ) -> Result<usize, Fault> {
+        let records = self.records_of(chunk)?;
+        if !records.is_empty() {
+            self.kept.insert(chunk, records.iter().map(|(_, place, _)| u64::from(place.2)).sum::<u64>())?;
+        }
         let mut done = 0;
-        for (head, place, record) in self.records_of(chunk)? {
+        for (head, place, record) in records {
             if done >= most {
                 return Ok(done);
             }
