@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use armarium_host::catalog;
+use armarium_runtime::attention::{Attended, Attends};
 use armarium_runtime::chart::Chart;
 use armarium_runtime::skill::{Parameter, SkillManifest};
 use armarium_values::Value;
@@ -92,6 +93,7 @@ fn as_json(Listed { manifest, chart }: &Listed<'_>) -> Json {
         "events": manifest.events,
         "reads": manifest.reads,
         "publishes": manifest.publishes,
+        "attends": attends(manifest),
         "limbs": manifest.limbs,
         "limbs_by_input": manifest.limbs_by_input,
     });
@@ -102,6 +104,15 @@ fn as_json(Listed { manifest, chart }: &Listed<'_>) -> Json {
         json["takes_events"] = json!(chart.events().map(|(event, _)| event).collect::<Vec<_>>());
     }
     json
+}
+
+/// What a skill needs to know the place of, for people.
+fn attends(manifest: &SkillManifest) -> Vec<String> {
+    let what = |attends: &Attends| match &attends.what {
+        Attended::Input(name) => format!("what `{name}` names"),
+        Attended::Pattern(pattern) => pattern.clone(),
+    };
+    manifest.attends.iter().map(what).collect()
 }
 
 fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io::Result<()> {
@@ -132,6 +143,7 @@ fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io:
         ("observes", &observed),
         ("reads", &manifest.reads),
         ("publishes", &manifest.publishes),
+        ("attends to", &attends(manifest)),
         ("commands", &commands),
     ];
     for (title, names) in lists.into_iter().filter(|(_, names)| !names.is_empty()) {

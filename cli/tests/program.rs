@@ -175,7 +175,7 @@ fn channels_are_listed_with_who_publishes_and_who_reads_them() {
         "battery\n    The accumulator.\n    channels.battery.volts: float in V  at rest\n    declared by: Dock\n    read by: chart Dock\n",
         "published by: ExecuteMotion, ForceAdaptation, ImitateMotion\n    read by: observer of `hand`\n",
         "channels.wrist.push: list<float in N>",
-        "published by: observer of `hand`\n    read by: ExecuteMotion, VisionCoaching, WatchCoach\n",
+        "published by: observer of `hand`\n    read by: ExecuteMotion, GazeSelection, VisionCoaching\n",
         "ObjectInstances  (in memory; `observe: {NAME: \"ObjectInstances/*/*\"}`)\n    Things that were seen",
         "channels.NAME.pose: Pose  pose of the object",
     ] {

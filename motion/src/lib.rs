@@ -30,6 +30,7 @@ mod error;
 mod field;
 mod fourier;
 mod friction;
+mod gaze;
 mod ilc;
 mod imitation;
 mod lift_and_shake;
@@ -65,6 +66,7 @@ pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,
 };
 pub use friction::{FrictionConfig, FrictionModel};
+pub use gaze::{GazeConfig, GazeSelection, GazeTarget, GazeView, saliency};
 pub use ilc::{FeedbackError, LearningControl, LearningControlConfig};
 pub use imitation::Imitation;
 pub use lift_and_shake::{LiftAndShake, rise};

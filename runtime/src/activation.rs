@@ -58,6 +58,8 @@ impl Activation {
         let (raising, events) = events();
         let (telling, inside) = watch::channel(Vec::new());
         let state = start.state.clone();
+        let attention = start.channels.attention().clone();
+        let attending = attention.attend(&state, &skill.manifest().attends, &start.inputs);
         let context = SkillContext {
             state: start.state,
             inputs: start.inputs,
@@ -67,7 +69,12 @@ impl Activation {
             events: raising,
             inside: telling,
         };
-        let acting = AssertUnwindSafe(async move { skill.run(context).await }).catch_unwind().boxed();
+        let acting = AssertUnwindSafe(async move {
+            let _attending = attending;
+            skill.run(context).await
+        })
+        .catch_unwind()
+        .boxed();
         Self { state, declared, acting, events, inside, result: None }
     }
 

@@ -16,6 +16,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
+use crate::attention::Attention;
 use crate::observed::ObservedPattern;
 
 /// One published value and when it was published, in the executor's (virtual) time.
@@ -69,6 +70,7 @@ pub struct ObserveError {
 pub struct Channels {
     by_name: Arc<Mutex<BTreeMap<String, Arc<Channel>>>>,
     memory: Option<Arc<dyn ObserveMemory>>,
+    attention: Attention,
 }
 
 impl fmt::Debug for Channels {
@@ -93,6 +95,11 @@ impl Channels {
     /// An empty set of channels.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// What the skills that run need to know the place of.
+    pub fn attention(&self) -> &Attention {
+        &self.attention
     }
 
     /// The same channels, on which this memory publishes what charts observe of it.

@@ -11,6 +11,7 @@
 //! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
 //! - [`trace`]: what happened in a run;
 //! - [`skill`]: what a leaf of a chart runs, and its context while it runs;
+//! - [`attention`]: what the skills that run need to know the place of;
 //! - [`channels`]: values that observers publish and watches read;
 //! - [`observed`]: what charts observe of memory, as channels.
 //!
@@ -18,6 +19,7 @@
 
 mod activation;
 pub mod agenda;
+pub mod attention;
 pub mod channels;
 pub mod chart;
 pub mod engine;

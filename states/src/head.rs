@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use armarium_robot::{Gaze, Lease, Model, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Unit, Vector3, center};
 
 use crate::arm::lease;
 use crate::equipment::Equipment;
@@ -55,14 +55,33 @@ impl Head {
         self.lease.is_some()
     }
 
+    /// The middle between the cameras and where they look, with all joints as in `q`: a place in the root frame, m, and a unit vector.
+    pub(crate) fn eye(&self, q: &[f64]) -> (Point3<f64>, Unit<Vector3<f64>>) {
+        let eyes = self
+            .model
+            .camera()
+            .map(|camera| [camera.left, camera.right].map(|eye| self.model.link_pose(q, eye)));
+        let [left, right] = eyes.unwrap_or([Isometry3::identity(); 2]);
+        (
+            center(&left.translation.vector.into(), &right.translation.vector.into()),
+            left.rotation * Vector3::z_axis(),
+        )
+    }
+
+    /// Where the cameras come to look that shall look at `point` (root frame, m): there, or as near as the neck can.
+    pub(crate) fn reached(&self, sample: &Sensed, point: &Point3<f64>) -> Unit<Vector3<f64>> {
+        match self.turns() {
+            true => self.eye(&self.facing(sample, point)).1,
+            false => self.eye(&sample.position).1,
+        }
+    }
+
     /// Where the cameras are and where they look from there when the head is as at the start, with all other joints as in `sample`: a
     /// place in the root frame, m, and a unit vector.
-    pub(crate) fn straight(&self, sample: &Sensed) -> (Point3<f64>, Vector3<f64>) {
+    pub(crate) fn straight(&self, sample: &Sensed) -> (Point3<f64>, Unit<Vector3<f64>>) {
         let mut q = sample.position.clone();
         self.joints.iter().for_each(|&j| q[j] = self.model.start()[j]);
-        let eye = self.model.camera().map(|camera| self.model.link_pose(&q, camera.left));
-        let eye = eye.unwrap_or_else(Isometry3::identity);
-        (Point3::from(eye.translation.vector), eye.rotation * Vector3::z())
+        self.eye(&q)
     }
 
     /// Turns towards `point` (root frame, m) for `dt` s, each joint with at most `speed` rad/s, as close as the

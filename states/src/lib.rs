@@ -10,6 +10,7 @@
 
 mod arm;
 mod around;
+mod attended;
 mod both;
 mod coaching;
 mod equipment;

@@ -46,7 +46,7 @@ const CAMERAS: &[&str] = &[
     "LookAt",
     "LookAround",
     "ModelEnvironment",
-    "WatchCoach",
+    "GazeSelection",
 ];
 
 /// What a robot lacks, and for which skills.

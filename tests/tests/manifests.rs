@@ -48,9 +48,9 @@ states:
           ByForce: {skill: ForceCoaching, with: {motion: "${Put.motion}"}, after: {200ms: ByVision}}
           ByVision: {skill: VisionCoaching, with: {motion: "${Put.motion}"}}
       Looking:
-        initial: AtHands
+        initial: AtNeeds
         states:
-          AtHands: {skill: WatchCoach, with: {motion: "${Put.motion}"}}
+          AtNeeds: {skill: GazeSelection}
     after: {600ms: Done}
   Done: {final: success}
 "#;

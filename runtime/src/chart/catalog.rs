@@ -13,6 +13,8 @@ use crate::skill::{NameKind, Parameter, Skill, SkillManifest};
 #[derive(Clone, Default)]
 pub struct Registry {
     skills: BTreeMap<String, RegisteredSkill>,
+    /// The names of today, by those that charts used before.
+    former: BTreeMap<String, String>,
     /// What other agents offer, by `agent/Name`; or why it cannot be used.
     remote: BTreeMap<String, Result<RegisteredSkill, Refused>>,
     names: Option<Arc<dyn KnownNames>>,
@@ -76,19 +78,24 @@ impl Registry {
     /// Adds a skill under the name of its manifest; one of the same name is replaced.
     pub fn add(&mut self, skill: Arc<dyn Skill>) {
         let manifest = Arc::new(skill.manifest());
+        let former = manifest.formerly.iter().map(|former| (former.clone(), manifest.name.clone()));
+        self.former.extend(former);
         self.skills.insert(manifest.name.clone(), (skill, manifest));
     }
 
     /// The skill of that name.
     pub fn get(&self, name: &str) -> Option<&Arc<dyn Skill>> {
-        let remote = || self.remote.get(name)?.as_ref().ok();
-        self.skills.get(name).or_else(remote).map(|(skill, _)| skill)
+        self.registered(name).map(|(skill, _)| skill)
     }
 
     /// What the skill of that name declares.
     pub fn manifest(&self, name: &str) -> Option<&Arc<SkillManifest>> {
-        let remote = || self.remote.get(name)?.as_ref().ok();
-        self.skills.get(name).or_else(remote).map(|(_, manifest)| manifest)
+        self.registered(name).map(|(_, manifest)| manifest)
+    }
+
+    fn registered(&self, name: &str) -> Option<&RegisteredSkill> {
+        let former = || self.skills.get(self.former.get(name)?);
+        self.skills.get(name).or_else(former).or_else(|| self.remote.get(name)?.as_ref().ok())
     }
 
     /// Adds what another agent offers, under the name of its manifest, `agent/Name`.

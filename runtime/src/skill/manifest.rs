@@ -7,6 +7,8 @@ use std::time::Duration;
 
 use armarium_values::{Type, Value};
 
+use crate::attention::{Attended, Attends};
+
 use super::parameter::{NameKind, Parameter};
 
 /// What a skill declares about itself; used by the checker, the editor's schema and `armarium skills`.
@@ -14,6 +16,8 @@ use super::parameter::{NameKind, Parameter};
 pub struct SkillManifest {
     /// The name that charts use.
     pub name: String,
+    /// Names that charts used for it before, and still may.
+    pub formerly: Vec<String>,
     /// One or two sentences for people.
     pub description: String,
     /// Its inputs.
@@ -30,6 +34,8 @@ pub struct SkillManifest {
     pub reads: Vec<String>,
     /// Channels that it publishes.
     pub publishes: Vec<String>,
+    /// What it needs to know the place of while it runs.
+    pub attends: Vec<Attends>,
     /// Limbs that it commands; two regions that can command one limb at the same time are an error at load.
     pub limbs: Vec<String>,
     /// Limbs that it commands by the value of an input: for each such input, the limbs that each of its values names. They
@@ -149,6 +155,7 @@ impl SkillManifest {
     pub fn new(name: &str, description: &str) -> Self {
         Self {
             name: name.into(),
+            formerly: Vec::new(),
             description: description.into(),
             declared_at: DeclaredAt(Some(Location::caller())),
             inputs: Vec::new(),
@@ -158,11 +165,19 @@ impl SkillManifest {
             marks: Vec::new(),
             reads: Vec::new(),
             publishes: Vec::new(),
+            attends: Vec::new(),
             limbs: Vec::new(),
             limbs_by_input: BTreeMap::new(),
             grace: Duration::from_secs(1),
             open: false,
         }
+    }
+
+    /// Says that charts may also use a name that the skill, or one that it replaces, had before.
+    #[must_use]
+    pub fn formerly(mut self, name: &str) -> Self {
+        self.formerly.push(name.into());
+        self
     }
 
     /// Adds an input that the chart must give.
@@ -226,6 +241,21 @@ impl SkillManifest {
     #[must_use]
     pub fn publishes(mut self, channel: &str) -> Self {
         self.publishes.push(channel.into());
+        self
+    }
+
+    /// Says that the skill needs to know, while it runs, the place of what the value of an input names: a reference into memory, a class or
+    /// a place. An error of `within` m is borne; `weight` is 1 for what counts as usual.
+    #[must_use]
+    pub fn attends(mut self, input: &str, within: f64, weight: f64) -> Self {
+        self.attends.push(Attends { what: Attended::Input(input.into()), within, weight });
+        self
+    }
+
+    /// The same for what a pattern of memory matches.
+    #[must_use]
+    pub fn attends_pattern(mut self, pattern: &str, within: f64, weight: f64) -> Self {
+        self.attends.push(Attends { what: Attended::Pattern(pattern.into()), within, weight });
         self
     }
 

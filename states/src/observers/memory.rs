@@ -204,7 +204,7 @@ impl Matches {
     }
 }
 
-fn pattern(of: &MemoryPattern) -> Pattern {
+pub(crate) fn pattern(of: &MemoryPattern) -> Pattern {
     let part = |part: &str| (part != "*").then(|| part.to_owned());
     Pattern { segment: part(&of.segment), provider: part(&of.provider), entity: part(&of.entity) }
 }

@@ -7,7 +7,7 @@
 mod arrival;
 mod carried;
 mod hand;
-mod memory;
+pub(crate) mod memory;
 mod surroundings;
 mod wrist;
 

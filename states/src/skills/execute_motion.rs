@@ -35,6 +35,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     )
     .mark(Mark::at_start("wiping_started"))
     .reads("hand")
+    .attends("motion", 0.05, 1.0)
     .publishes("motion");
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }

@@ -22,7 +22,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
             )
             .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
             .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.")
-            .reads("wrist");
+            .reads("wrist")
+            .attends_pattern("HumanHands/*/*", 0.05, 1.0);
     equipment::skill(equipment, manifest, run)
 }
 

@@ -8,6 +8,7 @@ mod execute_motion;
 mod force_adaptation;
 mod force_coaching;
 mod force_guiding;
+mod gaze_selection;
 mod imitate_motion;
 mod keep_motion;
 mod learn_together;
@@ -33,7 +34,6 @@ mod tare;
 mod verify_grasp;
 mod vision_coaching;
 mod visual_servo;
-mod watch_coach;
 mod weigh_hand;
 
 use std::sync::Arc;
@@ -79,6 +79,6 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(learn_together::skill(equipment)),
         Arc::new(put_down_together::skill(equipment)),
         Arc::new(vision_coaching::skill(equipment)),
-        Arc::new(watch_coach::skill(equipment)),
+        Arc::new(gaze_selection::skill(equipment)),
     ]
 }

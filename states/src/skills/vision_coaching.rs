@@ -25,7 +25,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         .input("motion", Type::motion(), "The running motion.")
         .optional("patience", Type::Duration, 0.8, "Ends when no such gesture has been seen for this long.")
         .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.")
-        .reads("hand");
+        .reads("hand")
+        .attends_pattern("HumanHands/*/*", 0.05, 1.0);
     equipment::skill(equipment, manifest, run)
 }
 

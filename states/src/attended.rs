@@ -1,0 +1,339 @@
+//! What the skills that run need to know the place of, as memory knows it now: where each thing is, and how far off that may be.
+//!
+//! A place that nobody has seen for long is known less and less. Memory's own filter fuses what was seen of things that stand still; how
+//! soon a thing may have been moved by somebody, which no picture shows, is added here.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot};
+use armarium_runtime::attention::Need;
+use armarium_runtime::observed::MemoryPattern;
+use armarium_runtime::skill::Failure;
+use armarium_values::Value;
+use nalgebra::Point3;
+
+use crate::inputs::{as_point, as_pose, entity_of};
+use crate::motions::{self, failed};
+use crate::observers::memory::pattern;
+use crate::places::Remembered;
+
+/// How fast the place of a thing becomes uncertain that nobody looks at, m/√s: somebody may move it.
+const THING_DRIFT: f64 = 0.02;
+/// The same for people, who move all the time.
+const PEOPLE_DRIFT: f64 = 0.2;
+/// Standard deviation of what happens at a place where anybody may come at any time, m.
+const ANYBODY: f64 = 0.1;
+/// The same of a thing that memory holds without a covariance, m.
+const UNKNOWN: f64 = 0.05;
+/// People of whom no picture has come for this long are gone, s.
+const GONE_AFTER: f64 = 1.5;
+/// What appeared or moved so lately is a stimulus, s, and by so much it must have moved, m.
+const NEW_FOR: f64 = 2.0;
+const MOVED: f64 = 0.03;
+/// What a stimulus counts beside the needs of skills, and the error of its place that is borne, m.
+const STIMULUS: f64 = 0.7;
+const STIMULUS_WITHIN: f64 = 0.05;
+
+pub(crate) const PEOPLE: [&str; 2] = ["HumanHands", "HumanPoses"];
+const THINGS: &str = "ObjectInstances";
+
+/// A place that is to be watched.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct AttendedPlace {
+    /// Its name for people: of the entity, or of what takes place there.
+    pub(crate) name: String,
+    /// Root frame, m.
+    pub(crate) place: Point3<f64>,
+    /// Standard deviation of it along each axis, m.
+    pub(crate) deviation: f64,
+    /// The error that is borne, m, and how much it counts.
+    pub(crate) within: f64,
+    pub(crate) weight: f64,
+    /// The states whose skills need it; none for a stimulus.
+    pub(crate) needed_by: Vec<String>,
+    /// The class of a thing that has to be looked for.
+    pub(crate) class: Option<String>,
+    /// When it was seen, ns.
+    pub(crate) seen_ns: u64,
+}
+
+/// Resolves needs, and remembers what moved.
+#[derive(Default)]
+pub(crate) struct AttendedPlaces {
+    /// The middles of motions, by their references.
+    motions: BTreeMap<String, Point3<f64>>,
+    /// Where each thing was when it last moved or appeared, and when that was, ns.
+    moved: BTreeMap<EntityId, (Point3<f64>, u64)>,
+}
+
+impl AttendedPlaces {
+    /// All that is to be watched at the time `now_ns` of the robot, by name: what is needed, then what is new or moves.
+    pub(crate) async fn watched(
+        &mut self,
+        needs: &[Need],
+        remembered: Remembered<'_>,
+        now_ns: u64,
+    ) -> Result<Vec<AttendedPlace>, Failure> {
+        let mut watched = BTreeMap::new();
+        for need in needs {
+            for found in self.resolve(need, remembered, now_ns).await? {
+                add(&mut watched, found, need);
+            }
+        }
+        for found in self.stimuli(remembered, now_ns).await? {
+            watched.entry(found.name.clone()).or_insert(found);
+        }
+        Ok(watched.into_values().collect())
+    }
+
+    async fn resolve(
+        &mut self,
+        need: &Need,
+        remembered: Remembered<'_>,
+        now_ns: u64,
+    ) -> Result<Vec<AttendedPlace>, Failure> {
+        if let Some(place) =
+            as_point(&need.thing).or_else(|| Some(as_pose(&need.thing)?.translation.vector.into()))
+        {
+            return Ok(vec![somewhere(need.state.clone(), place)]);
+        }
+        let memory = remembered.memory;
+        let known = match &need.thing {
+            Value::Reference(reference) if reference.kind == "Motion" => {
+                let place = self.middle(memory, &reference.id, &entity_of(reference)?).await?;
+                return Ok(vec![somewhere(entity_of(reference)?.entity().to_owned(), place)]);
+            }
+            Value::Reference(reference) => match memory.latest(&entity_of(reference)?).await {
+                Ok(known) => vec![known],
+                Err(_) => Vec::new(),
+            },
+            Value::String(text) => named(memory, text).await?,
+            _ => Vec::new(),
+        };
+        Ok(known.iter().filter_map(|thing| seen(remembered, thing, now_ns)).collect())
+    }
+
+    async fn middle(
+        &mut self,
+        memory: &dyn Memory,
+        reference: &str,
+        id: &EntityId,
+    ) -> Result<Point3<f64>, Failure> {
+        if let Some(known) = self.motions.get(reference) {
+            return Ok(*known);
+        }
+        let (motion, _) = motions::load(memory, id).await?;
+        let centre = motion.primitive().centre();
+        let middle = Point3::new(centre[0], centre[1], centre[2]);
+        self.motions.insert(reference.to_owned(), middle);
+        Ok(middle)
+    }
+
+    /// People, and things that appeared or moved lately.
+    async fn stimuli(
+        &mut self,
+        remembered: Remembered<'_>,
+        now_ns: u64,
+    ) -> Result<Vec<AttendedPlace>, Failure> {
+        let mut found = Vec::new();
+        for segment in PEOPLE {
+            let people = of_segment(remembered.memory, segment).await?;
+            found.extend(people.iter().filter_map(|person| seen(remembered, person, now_ns)));
+        }
+        let things = of_segment(remembered.memory, THINGS).await?;
+        self.moved.retain(|id, _| things.iter().any(|thing| thing.id == *id));
+        for thing in &things {
+            let Some(watched) = seen(remembered, thing, now_ns) else { continue };
+            let place = watched.place;
+            let before = *self.moved.entry(thing.id.clone()).or_insert((place, thing.referenced_ns));
+            let moved = (place - before.0).norm() > MOVED;
+            if moved {
+                self.moved.insert(thing.id.clone(), (place, thing.referenced_ns));
+            }
+            if moved || seconds(before.1, now_ns) < NEW_FOR {
+                // Only skills that need a thing look for it.
+                found.push(AttendedPlace { class: None, ..watched });
+            }
+        }
+        Ok(found)
+    }
+}
+
+fn add(all: &mut BTreeMap<String, AttendedPlace>, found: AttendedPlace, need: &Need) {
+    let found = AttendedPlace {
+        within: need.within,
+        weight: need.weight,
+        needed_by: vec![need.state.clone()],
+        ..found
+    };
+    let known = all.entry(found.name.clone()).or_insert_with(|| found.clone());
+    known.within = known.within.min(found.within);
+    known.weight = known.weight.max(found.weight);
+    if !known.needed_by.contains(&need.state) {
+        known.needed_by.push(need.state.clone());
+    }
+}
+
+/// A place to which anybody may come.
+fn somewhere(name: String, place: Point3<f64>) -> AttendedPlace {
+    let (within, weight) = (STIMULUS_WITHIN, STIMULUS);
+    AttendedPlace {
+        name,
+        place,
+        deviation: ANYBODY,
+        within,
+        weight,
+        needed_by: Vec::new(),
+        class: None,
+        seen_ns: 0,
+    }
+}
+
+/// What memory knows of an entity, as a stimulus; `None` where it is not known where it is, and of what a hand carries: that is known by the
+/// arm's joints.
+fn seen(remembered: Remembered<'_>, known: &Snapshot, now_ns: u64) -> Option<AttendedPlace> {
+    let instance = known.instance()?;
+    let age = seconds(known.referenced_ns, now_ns);
+    let is_person = PEOPLE.contains(&known.id.segment());
+    if (is_person && age > GONE_AFTER) || known.attribute("attached_to").is_some() {
+        return None;
+    }
+    let place = match is_person {
+        true => as_point(known.attribute("shown")?.get("seen_at")?)?,
+        false => Point3::from(remembered.root_pose(known)?.translation.vector),
+    };
+    let rows = instance.covariance.get("position").filter(|rows| rows.len() == 9);
+    let variance = rows.map_or(UNKNOWN * UNKNOWN, |rows| (rows[0] + rows[4] + rows[8]) / 3.0);
+    let drift = if is_person { PEOPLE_DRIFT } else { THING_DRIFT };
+    let class = known.attribute("class").and_then(Value::as_str).filter(|_| !is_person);
+    Some(AttendedPlace {
+        deviation: (variance + drift * drift * age).sqrt(),
+        class: class.map(str::to_owned),
+        seen_ns: known.referenced_ns,
+        ..somewhere(known.id.entity().to_owned(), place)
+    })
+}
+
+/// What a text names: a pattern of memory, or the newest thing of a class.
+async fn named(memory: &dyn Memory, text: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {
+    if text.contains('/') {
+        let named: MemoryPattern = text.parse().map_err(failed)?;
+        return memory.query(&Query::latest(pattern(&named))).await.map_err(failed);
+    }
+    let things = of_segment(memory, THINGS).await?;
+    let of_class = |thing: &&Arc<Snapshot>| thing.attribute("class").and_then(Value::as_str) == Some(text);
+    Ok(things.iter().filter(of_class).max_by_key(|thing| thing.referenced_ns).cloned().into_iter().collect())
+}
+
+async fn of_segment(memory: &dyn Memory, segment: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {
+    memory.query(&Query::latest(Pattern::segment(segment))).await.map_err(failed)
+}
+
+fn seconds(from_ns: u64, to_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_memoryx::{Commit, Instance, WorkingMemory, tokio_clock};
+    use armarium_values::transforms::Transforms;
+    use armarium_values::{Frame, Pose, Reference, Vector};
+    use nalgebra::{Isometry3, Matrix3, Vector3};
+    use parking_lot::RwLock;
+
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    fn need(thing: Value) -> Need {
+        Need { state: "Grasp".into(), thing, within: 0.01, weight: 1.0 }
+    }
+
+    fn pose(x: f64) -> Value {
+        Value::Pose(Pose::new(Frame::root(), &Isometry3::translation(x, 0.5, 1.0)))
+    }
+
+    async fn put(memory: &WorkingMemory, id: &str, at_s: u64, attributes: Vec<(&str, Value)>) {
+        let named = |(name, value): (&str, Value)| (name.to_owned(), value);
+        let attributes: BTreeMap<_, _> = attributes.into_iter().map(named).collect();
+        let rows = (Matrix3::identity() * 1e-6).as_slice().to_vec();
+        let placed = attributes.contains_key("position");
+        let instance = Instance::new(attributes);
+        let instances = vec![if placed { instance.with_covariance("position", rows) } else { instance }];
+        let id = id.parse().unwrap();
+        let commit = Commit { id, referenced_ns: at_s * SECOND, instances, expected_version: None };
+        memory.commit(vec![commit]).await.unwrap();
+    }
+
+    async fn cup(memory: &WorkingMemory, at_s: u64, x: f64) {
+        let position = Value::Vector(Vector::new(Frame::root(), &Vector3::new(x, 0.5, 1.0)));
+        let attributes = vec![("class", Value::from("cup")), ("pose", pose(x)), ("position", position)];
+        put(memory, "ObjectInstances/me/cup", at_s, attributes).await;
+    }
+
+    #[tokio::test]
+    async fn what_is_not_seen_becomes_uncertain_and_what_a_hand_holds_does_not_count() {
+        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let remembered = Remembered { memory: &memory, transforms: &transforms };
+        let mut attended = AttendedPlaces::default();
+        cup(&memory, 10, 0.2).await;
+        let reference =
+            Value::Reference(Reference { kind: "Object".into(), id: "ObjectInstances/me/cup".into() });
+        for thing in [reference, Value::from("cup"), Value::from("ObjectInstances/*/c*")] {
+            let mut deviations = Vec::new();
+            for now_s in [10, 11, 14] {
+                let needs = [need(thing.clone()), need(Value::from("plate"))];
+                let places = attended.watched(&needs, remembered, now_s * SECOND).await.unwrap();
+                let [place] = &places[..] else { panic!("{places:?}") };
+                assert_eq!((place.name.as_str(), place.place.x), ("cup", 0.2));
+                assert_eq!((place.within, &place.needed_by), (0.01, &vec!["Grasp".to_owned()]));
+                deviations.push(place.deviation);
+            }
+            let expected = |age: f64| (1e-6 + THING_DRIFT * THING_DRIFT * age).sqrt();
+            assert!(deviations.iter().zip([0.0, 1.0, 4.0]).all(|(d, age)| (d - expected(age)).abs() < 1e-9));
+        }
+        let held = vec![
+            ("class", Value::from("cup")),
+            ("pose", pose(0.2)),
+            ("attached_to", Value::from("me/right_hand")),
+        ];
+        put(&memory, "ObjectInstances/me/cup", 15, held).await;
+        let places = attended.watched(&[need(Value::from("cup"))], remembered, 15 * SECOND).await.unwrap();
+        assert_eq!(places, []);
+    }
+
+    #[tokio::test]
+    async fn what_moves_and_people_are_stimuli_for_a_while() {
+        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let remembered = Remembered { memory: &memory, transforms: &transforms };
+        let mut attended = AttendedPlaces::default();
+        let mut names = async |now_s: u64| -> Vec<String> {
+            let places = attended.watched(&[], remembered, now_s * SECOND).await.unwrap();
+            assert!(places.iter().all(|place| place.needed_by.is_empty() && place.class.is_none()));
+            places.into_iter().map(|place| place.name).collect()
+        };
+        cup(&memory, 10, 0.2).await;
+        assert_eq!(names(11).await, ["cup"], "it is new");
+        cup(&memory, 14, 0.21).await;
+        assert_eq!(names(14).await, Vec::<String>::new(), "it stands");
+        cup(&memory, 20, 0.3).await;
+        assert_eq!(names(20).await, ["cup"], "it has moved");
+        assert_eq!(names(23).await, Vec::<String>::new());
+        let at = Value::Vector(Vector::new(Frame::root(), &Vector3::new(0.1, 0.6, 1.1)));
+        let shown = Value::record([("gesture", Value::from("fist")), ("seen_at", at)]);
+        put(&memory, "HumanHands/me/hand", 30, vec![("gesture", "fist".into()), ("shown", shown)]).await;
+        assert_eq!(names(31).await, ["hand"]);
+        assert_eq!(names(33).await, Vec::<String>::new(), "gone");
+    }
+
+    #[tokio::test]
+    async fn a_place_is_named_by_the_state_that_needs_it() {
+        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let remembered = Remembered { memory: &memory, transforms: &transforms };
+        let needs = [need(pose(0.4)), need(Value::Null)];
+        let places = AttendedPlaces::default().watched(&needs, remembered, SECOND).await.unwrap();
+        let [place] = &places[..] else { panic!("{places:?}") };
+        assert_eq!((place.name.as_str(), place.place.x, place.deviation), ("Grasp", 0.4, ANYBODY));
+    }
+}
