@@ -180,7 +180,7 @@ impl TruthSink for TruthTopics {
                 let coach: Isometry3<f64> = coach;
                 recorder.pose("/truth/coach", t, &coach);
             }
-            if let Some(PressedLoad { body, hands, table_n }) = sample.pressed {
+            if let Some(PressedLoad { body, hands, table_n, .. }) = sample.pressed {
                 let (at, force) = (hands.map(|hand| hand.at.into()), hands.map(|hand| hand.force.into()));
                 recorder.json("/truth/pressed", t, &TruePress { body, at, force, table_n })?;
             }

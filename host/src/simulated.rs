@@ -4,17 +4,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::{
-    AgentMemory, MemoryConfig, MemoryError, MemoryLimits, ObjectClass, Policies, Policy, PriorKnowledge,
-    Restored, WorkingMemory,
+    AgentMemory, GraspPose, MemoryConfig, MemoryError, MemoryLimits, ObjectClass, Policies, Policy,
+    PriorKnowledge, Restored, WorkingMemory,
 };
 use armarium_robot::JointHistory;
 use armarium_simulator::cameras::ScenerySink;
-use armarium_simulator::world::{BodyShape, RobotSpec};
+use armarium_simulator::world::{BodyShape, BodySpec, RobotSpec};
 use armarium_simulator::{Handle, Options, Referee, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::{CorrectedImages, Equipment, RunningMotions};
-use armarium_values::Frame;
 use armarium_values::transforms::Transforms;
+use armarium_values::{Frame, Pose};
 use armarium_visionx::{ImageSource, JoinedImages, Workers};
+use nalgebra::Isometry3;
 use parking_lot::RwLock;
 
 use crate::error::HostError;
@@ -154,6 +155,17 @@ pub fn usual_policies() -> Policies {
     thinned.fold(usual, |policies, segment| policies.with(segment, Policy::AtMost { hz: 1.0 }))
 }
 
+/// How a body is held at its handles.
+fn grasps(body: &BodySpec) -> Vec<GraspPose> {
+    let grasp = |(i, grasp): (usize, Isometry3<f64>)| GraspPose {
+        name: format!("handle_{}", i + 1),
+        pose: Pose::new(Frame::from(armarium_memoryx::prior::OBJECT_FRAME), &grasp),
+        approach: None,
+        aperture: None,
+    };
+    body.handle_grasps().into_iter().enumerate().map(grasp).collect()
+}
+
 /// Prior knowledge of objects: name, colour, size and mass, never the position. It has the objects of this world and
 /// the usual ones, so that the robot can also look for an object that is absent.
 pub(crate) fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
@@ -163,8 +175,13 @@ pub(crate) fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryErr
     for object in world.objects.iter().chain(missing) {
         prior.add(ObjectClass::new(&object.name, object.color, object.size).with_mass(object.mass))?;
     }
-    for body in world.bodies.iter().filter(|body| body.shape == BodyShape::Box) {
-        prior.add(ObjectClass::new(&body.name, body.color, body.size).with_mass(body.mass))?;
+    let known = |body: &&BodySpec| {
+        body.shape == BodyShape::Box || (body.shape == BodyShape::Tray && !body.handle_places().is_empty())
+    };
+    for body in world.bodies.iter().filter(known) {
+        let mut class = ObjectClass::new(&body.name, body.color, body.size).with_mass(body.mass);
+        class.grasps = grasps(body);
+        prior.add(class)?;
     }
     prior.add(ObjectClass::new(COACH_TOOL, world.coach.tool.color, COACH_TOOL_SIZE))?;
     Ok(prior)

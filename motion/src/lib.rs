@@ -40,6 +40,7 @@ mod orientation;
 mod oscillator;
 mod period;
 mod periodic;
+mod planar_turn;
 mod rigid_fit;
 mod segment;
 mod servo;
@@ -79,10 +80,13 @@ pub use periodic::{
     DmpState, Integrator, PathResponse, PeriodicDmp, PeriodicDmpConfig, PeriodicPath, PhaseKernels,
     PhaseSample,
 };
+pub use planar_turn::planar_turn;
 pub use rigid_fit::{RigidFit, rigid_fit};
 pub use segment::{Demonstration, DemonstrationSegmenter, DemonstrationStage, SegmenterConfig, Swipe};
-pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus};
-pub use shared_load::{HandOnLoad, LoadForces, LoadStatus, SharedLoad, SharedLoadConfig, SharedLoadStep};
+pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus, in_step};
+pub use shared_load::{
+    HandOnLoad, Holding, LoadForces, LoadStatus, SharedLoad, SharedLoadConfig, SharedLoadStep,
+};
 pub use straight_line::{LinePoint, StraightLine};
 pub use surface::{SurfaceAdaptation, SurfaceCommand, SurfaceConfig};
 pub use surface_correction::SurfaceCorrection;

@@ -1,6 +1,7 @@
 //! Position-based visual servoing: from the observed poses of the hand and of its target to a twist.
 //!
-//! Independent of the camera. If hand and target are measured with the same camera, its mounting error cancels.
+//! Independent of the camera. If hand and target are measured with the same camera, its mounting error cancels. Several hands that
+//! go to one thing have a servo each, and [`in_step`] makes them arrive together.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
@@ -38,6 +39,9 @@ constants! {
     }
 }
 
+/// The share of `lost_after` up to which what was seen is as good as new.
+const FRESH: f64 = 0.2;
+
 /// Hand and target observed together, in one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ServoObservation {
@@ -73,6 +77,8 @@ pub struct ServoCommand {
     pub distance: f64,
     /// Angle to the target, rad.
     pub angle: f64,
+    /// The rate with which the error falls, 1/s: the velocities are this times the error.
+    pub rate: f64,
     /// The status; the velocities are zero unless it is running.
     pub status: ServoStatus,
 }
@@ -120,8 +126,22 @@ impl PositionServo {
         dt: f64,
         observation: Option<&ServoObservation>,
     ) -> Result<ServoCommand, MotionError> {
+        self.step_aged(dt, observation.map(|seen| (seen, 0.0)))
+    }
+
+    /// The same for an observation that was computed from what was seen some time ago, s: the older, the slower the hand goes, as the
+    /// target may have moved since. What is older than a fifth of `lost_after` does not count as arrived, and what is older than that is lost.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn step_aged(
+        &mut self,
+        dt: f64,
+        observation: Option<(&ServoObservation, f64)>,
+    ) -> Result<ServoCommand, MotionError> {
         positive("dt", dt)?;
-        if let Some(o) = observation {
+        if let Some((o, age)) = observation {
+            finite("age", &[age])?;
             for pose in [&o.hand, &o.target] {
                 vector("pose", 3, pose.translation.vector.as_slice())?;
                 finite("pose", pose.rotation.coords.as_slice())?;
@@ -132,7 +152,7 @@ impl PositionServo {
         }
         self.elapsed += dt;
         let command = match observation {
-            Some(o) => self.seen(o),
+            Some((o, age)) => self.seen(o, age.max(0.0)),
             None => self.blind(dt),
         };
         self.last = command;
@@ -152,28 +172,34 @@ impl PositionServo {
         let fade = (-dt / (0.2 * self.config.lost_after)).exp();
         command.linear *= fade;
         command.angular *= fade;
+        command.rate *= fade;
         command
     }
 
-    fn seen(&mut self, o: &ServoObservation) -> ServoCommand {
-        self.unseen = 0.0;
+    fn seen(&mut self, o: &ServoObservation, age: f64) -> ServoCommand {
+        self.unseen = age;
         let t = o.hand.translation.vector - o.target.translation.vector;
         let turn = self.steady_turn(&(o.hand.rotation * o.target.rotation.inverse()));
         let (distance, angle) = (t.norm(), turn.norm().min(std::f64::consts::TAU - turn.norm()));
         let error = distance + self.config.radius * angle;
-        if let Some(status) = self.judge(distance, angle, error) {
+        if age > self.config.lost_after {
+            return still(distance, angle, ServoStatus::Lost);
+        }
+        if let Some(status) = self.judge((distance, angle, error), age) {
             return still(distance, angle, status);
         }
         let c = &self.config;
         let gain = c.gain_far + (c.gain_near - c.gain_far) * (-error / c.gain_scale).exp();
         let (linear, angular) = (-gain * t, -gain * turn);
         let scale = (c.max_linear / linear.norm()).min(c.max_angular / angular.norm()).min(1.0);
-        let scale = if scale.is_finite() { scale } else { 1.0 };
+        let fresh = 1.0 - age / c.lost_after;
+        let scale = if scale.is_finite() { scale * fresh } else { fresh };
         ServoCommand {
             linear: linear * scale,
             angular: angular * scale,
             distance,
             angle,
+            rate: gain * scale,
             status: ServoStatus::Running,
         }
     }
@@ -193,9 +219,10 @@ impl PositionServo {
         turn
     }
 
-    fn judge(&mut self, distance: f64, angle: f64, error: f64) -> Option<ServoStatus> {
+    fn judge(&mut self, (distance, angle, error): (f64, f64, f64), age: f64) -> Option<ServoStatus> {
         let c = &self.config;
-        let near = distance <= c.position_tolerance && angle <= c.rotation_tolerance;
+        let near =
+            age <= FRESH * c.lost_after && distance <= c.position_tolerance && angle <= c.rotation_tolerance;
         self.held = if near { self.held + 1 } else { 0 };
         if near && self.held >= c.hold_frames.max(1) {
             return Some(ServoStatus::Converged);
@@ -208,7 +235,21 @@ impl PositionServo {
 }
 
 fn still(distance: f64, angle: f64, status: ServoStatus) -> ServoCommand {
-    ServoCommand { linear: Vector3::zeros(), angular: Vector3::zeros(), distance, angle, status }
+    let (linear, angular) = (Vector3::zeros(), Vector3::zeros());
+    ServoCommand { linear, angular, distance, angle, rate: 0.0, status }
+}
+
+/// Slows hands that go to one thing down to the slowest of those that are still on their way, so that the errors of all fall at one
+/// rate and all arrive together.
+pub fn in_step(commands: &mut [ServoCommand]) {
+    let running = |c: &&ServoCommand| c.status == ServoStatus::Running;
+    let slowest = commands.iter().filter(running).map(|c| c.rate).fold(f64::INFINITY, f64::min);
+    for command in commands.iter_mut().filter(|c| c.rate > slowest) {
+        let share = slowest / command.rate;
+        command.linear *= share;
+        command.angular *= share;
+        command.rate = slowest;
+    }
 }
 
 #[cfg(test)]
@@ -254,6 +295,61 @@ mod tests {
         let straight = (start.translation.vector - target.translation.vector).norm();
         assert!(length / straight < 1.001, "{}", length / straight);
         assert!(f64::from(steps) * 0.04 < 8.0);
+    }
+
+    /// When both hands come within 5 mm of their targets, s, and the longest way of one that was not seen for a second.
+    fn arrivals(ways: [f64; 2], unseen: [std::ops::Range<f64>; 2]) -> [f64; 2] {
+        let target = Isometry3::identity();
+        let config = ServoConfig { lost_after: 1.5, ..ServoConfig::default() };
+        let mut servos = [0, 1].map(|_| PositionServo::new(config.clone()).unwrap());
+        let mut hands = ways.map(|way| pose([way, 0.0, 0.0], [0.0; 3]));
+        let (mut seen_at, mut arrived, mut t) = ([0.0; 2], [f64::NAN; 2], 0.0);
+        while arrived.iter().any(|at| at.is_nan()) && t < 20.0 {
+            t += 0.02;
+            let mut commands = [0, 1].map(|i| {
+                if !unseen[i].contains(&t) {
+                    seen_at[i] = t;
+                }
+                let seen = ServoObservation { hand: hands[i], target };
+                servos[i].step_aged(0.02, Some((&seen, t - seen_at[i]))).unwrap()
+            });
+            in_step(&mut commands);
+            for i in 0..2 {
+                hands[i] = follow(hands[i], &commands[i], 0.02);
+                if arrived[i].is_nan() && hands[i].translation.vector.norm() < 0.005 {
+                    arrived[i] = t;
+                }
+            }
+        }
+        arrived
+    }
+
+    #[test]
+    fn hands_in_step_arrive_together_also_when_one_is_not_seen_for_a_second() {
+        for ways in [[0.1, 0.1], [0.12, 0.1], [0.09, 0.11]] {
+            for unseen in [[0.0..0.0, 0.0..0.0], [0.5..1.5, 0.0..0.0], [0.0..0.0, 0.8..1.8]] {
+                let [first, second] = arrivals(ways, unseen.clone());
+                assert!((first - second).abs() < 0.2, "{ways:?} {unseen:?}: {first} {second}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_seen_long_ago_slows_the_hand_and_is_lost_in_the_end() {
+        let seen = ServoObservation { hand: pose([0.05, 0.0, 0.0], [0.0; 3]), target: Isometry3::identity() };
+        let speed = |age: f64| {
+            let mut servo = PositionServo::new(ServoConfig::default()).unwrap();
+            let command = servo.step_aged(0.04, Some((&seen, age))).unwrap();
+            (command.linear.norm(), command.status)
+        };
+        let (new, half) = (speed(0.0).0, speed(0.5).0);
+        assert!((half - new / 2.0).abs() < 1e-12, "{new} {half}");
+        assert_eq!(speed(1.1), (0.0, ServoStatus::Lost));
+        // At the target, but seen too long ago to count.
+        let there = ServoObservation { hand: Isometry3::identity(), target: Isometry3::identity() };
+        let mut servo = PositionServo::new(ServoConfig::default()).unwrap();
+        let late = (0..50).map(|_| servo.step_aged(0.04, Some((&there, 0.4))).unwrap().status);
+        assert!(late.last() == Some(ServoStatus::Running));
     }
 
     #[test]

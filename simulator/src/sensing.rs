@@ -85,7 +85,7 @@ impl Sensors {
         for odometry in &mut self.odometry {
             sample.position[odometry.joint] += odometry.error(position[odometry.joint]);
         }
-        let frozen = self.faults.wrench == WrenchFault::Frozen && t >= self.faults.from;
+        let frozen = self.faults.wrench == WrenchFault::Frozen && self.faults.at(t);
         for (i, (sensor, truth)) in self.wrenches.iter_mut().zip(wrenches).enumerate() {
             let felt = sensor.sense(t, &truth, &self.noise);
             let broken = frozen && self.faulty == Some(i);

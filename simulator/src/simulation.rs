@@ -418,6 +418,10 @@ impl Simulation {
         truth.objects.clear();
         truth.objects.extend((0..self.object_names.len()).filter_map(|object| self.plant.object(object)));
         truth.pressed = self.plant.pressed();
+        truth.tcps.clear();
+        if self.plant.has_handles() {
+            truth.tcps.extend(self.plant.tcps(0));
+        }
         truth.led.clear();
         truth.led.extend(self.plant.led());
         truth.collisions.clear();

@@ -162,11 +162,23 @@ fn mounted(spec: PadSpec, model: &Model) -> Vec<MountedPad> {
 
 /// A world's bodies: those that the file names, in its order, then what lies in those.
 pub fn bodies(world: &World, table: &TableTop) -> Vec<BodyStart> {
-    let place = |spec: BodySpec| BodyStart { room_from_body: room_from_body(&spec, table), spec };
-    let mut all: Vec<BodyStart> = world.named_bodies().map(place).collect();
+    let mut all: Vec<BodyStart> = Vec::new();
+    for spec in world.named_bodies() {
+        let under = spec.on.as_ref().and_then(|on| all.iter().find(|body| body.spec.name == *on));
+        let room_from_body = under.map_or_else(|| room_from_body(&spec, table), |under| upon(&spec, under));
+        all.push(BodyStart { room_from_body, spec });
+    }
     let inside: Vec<BodyStart> = all.iter().flat_map(contents).collect();
     all.extend(inside);
     all
+}
+
+/// A body that stands on another one.
+fn upon(spec: &BodySpec, under: &BodyStart) -> Isometry3<f64> {
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
+    let [x, y] = spec.at.xy();
+    let at = Vector3::new(x, y, under.spec.bears_at() + spec.half().z);
+    under.room_from_body * Isometry3::from_parts(at.into(), yaw)
 }
 
 /// A body that lies on the table stands as the table is tilted.

@@ -38,6 +38,8 @@ pub struct TruthSample {
     pub objects: Vec<Isometry3<f64>>,
     /// What is between the first robot's hands, where these have pads.
     pub pressed: Option<PressedLoad>,
+    /// The poses of the TCPs of the first robot's arms, in a world with handles.
+    pub tcps: Vec<Isometry3<f64>>,
     /// The first robot's hands that a person leads.
     pub led: Vec<LedHand>,
     /// The forces between the first robot and other things, N.

@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
-use armarium_motion::{HandOnLoad, LinePoint, SharedLoadConfig};
-use armarium_robot::{Limb, Model, Sensed};
+use armarium_motion::{
+    HandOnLoad, Holding, LinePoint, LoadStatus, SharedLoad, SharedLoadConfig, SharedLoadStep,
+};
+use armarium_robot::{Limb, Model, Sensed, Twist};
 use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Vector3, Vector6};
@@ -11,10 +13,18 @@ use nalgebra::{Isometry3, Vector3, Vector6};
 use crate::arm::{LeasedArm, tcp_of};
 use crate::equipment::Equipment;
 use crate::grasp::hand;
+use crate::hand::aperture;
+use crate::motions::failed;
+use crate::torso::TurningTorso;
 
 /// The inputs that say how a load is held.
 const SQUEEZE: &str = "squeeze";
 const FRICTION: &str = "friction";
+const HOLD: &str = "hold";
+/// What a hand grips is gone when its pads have come nearer to each other by this, m.
+const CLOSED: f64 = 0.008;
+/// A hand that is further than this from where it should be has not arrived, m.
+const OFF: f64 = 0.02;
 /// The squeeze stays below this share of the force limit: a hand carries, too.
 const SQUEEZED: f64 = 0.8;
 
@@ -36,6 +46,14 @@ pub(crate) fn moves_both(manifest: SkillManifest, equipment: &Equipment) -> Skil
     arms.fold(manifest, |manifest, arm| manifest.limb(&arm.name))
 }
 
+/// Says that a skill commands what helps both arms, too.
+pub(crate) fn turns_torso(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    let arms: Vec<&Limb> = equipment.robot.model().arms().take(2).collect();
+    let [first, second] = arms[..] else { return manifest };
+    let both = first.helped_by.iter().filter(|limb| second.helped_by.contains(limb));
+    both.fold(manifest, |manifest, limb| manifest.limb(limb))
+}
+
 /// Adds the inputs that say how a load is held.
 pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
     manifest
@@ -46,6 +64,21 @@ pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
             0.5,
             "The friction of hands and load on which it relies: for a heavier load it squeezes more.",
         )
+}
+
+/// Adds the inputs that say how a load is held, by pressing or by grips.
+pub(crate) fn holds(manifest: SkillManifest) -> SkillManifest {
+    let what = "How the hands hold it: `press` from two sides, or `grip`, each a handle, without a squeeze.";
+    squeezes(manifest).optional(HOLD, Type::String, "press", what)
+}
+
+/// How the hands hold the load.
+pub(crate) fn holding(context: &SkillContext) -> Result<Holding, Failure> {
+    match context.text(HOLD)? {
+        "press" => Ok(Holding::Pressing),
+        "grip" => Ok(Holding::Gripping),
+        other => Err(Failure::new(format!("`{HOLD}` is `{other}`; hands hold by `press` or `grip`"))),
+    }
 }
 
 /// The law's constants for these inputs, with the chart's limits.
@@ -64,22 +97,41 @@ pub(crate) fn config(equipment: &Equipment, context: &SkillContext) -> Result<Sh
 /// Both arms with their leases.
 pub(crate) struct BothArms {
     arms: [LeasedArm; 2],
-    /// `tcp_from_face`: the faces with which they press, x out of them.
+    /// `tcp_from_face`: the faces with which they press, x out of them; or the middles of their grips.
     faces: [Isometry3<f64>; 2],
+    holding: Holding,
+    torso: Option<TurningTorso>,
+    /// How far a hand was from where it should be in the last step, m.
+    off: f64,
+    /// The joints of both hands, and the distance of their pads when they were taken, m.
+    hands: [(Vec<usize>, f64); 2],
 }
 
 impl BothArms {
-    /// Leases both arms, without what helps them, for motions by these vectors (root frame, m). Their null spaces keep the
-    /// posture in which they are.
+    /// Leases both arms, without what helps them, for motions by these vectors (root frame, m), to press with their hands. Their null
+    /// spaces keep the posture in which they are.
     pub(crate) async fn take(
         equipment: &Equipment,
         context: &SkillContext,
         motions: &[Vector3<f64>],
     ) -> Result<Self, Failure> {
+        Self::take_to(equipment, context, motions, Holding::Pressing).await
+    }
+
+    /// The same, to hold something in this way.
+    pub(crate) async fn take_to(
+        equipment: &Equipment,
+        context: &SkillContext,
+        motions: &[Vector3<f64>],
+        holding: Holding,
+    ) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
         let [first, second] = arms(&model)?;
         let face = |limb: &Limb| {
             let hand = hand(&model, limb)?;
+            if holding == Holding::Gripping {
+                return Ok(hand.grasp_in_tcp);
+            }
             let none = || {
                 Failure::new(format!(
                     "the robot file does not say with what `{}` presses: `press_in_tcp`",
@@ -106,7 +158,44 @@ impl BothArms {
             LeasedArm::take_limb(equipment, context, second, &targets(second)?).await?,
         ];
         arms.iter_mut().for_each(|arm| arm.stay_near(&sample));
-        Ok(Self { arms, faces })
+        let hands = [first, second].map(|limb| {
+            let joints = limb.hand.as_deref().map_or(&[][..], |hand| model.limb(hand)).to_vec();
+            let apart = aperture(&joints, &sample);
+            (joints, apart)
+        });
+        Ok(Self { arms, faces, holding, torso: None, off: 0.0, hands })
+    }
+
+    /// From now on the torso turns after the hands, if one helps both and nobody else commands it.
+    pub(crate) fn turn_torso(&mut self, equipment: &Equipment, context: &SkillContext, sample: &Sensed) {
+        let hands = [0, 1].map(|i| self.arms[i].tcp(sample));
+        let limbs = [&self.arms[0].limb, &self.arms[1].limb];
+        self.torso = TurningTorso::take(equipment, context, limbs, (sample, &hands));
+    }
+
+    /// Takes what they hold over where it is.
+    pub(crate) fn take_load(&self, sample: &Sensed, config: SharedLoadConfig) -> Result<SharedLoad, Failure> {
+        SharedLoad::held(config, self.holding, &self.on_load(sample)?).map_err(failed)
+    }
+
+    /// Moves what they hold to a place, and both arms with it; `None` when it is lost.
+    pub(crate) fn carry(
+        &mut self,
+        (sample, dt): (&Sensed, f64),
+        law: &mut SharedLoad,
+        load: &LinePoint,
+    ) -> Result<Option<SharedLoadStep>, Failure> {
+        let step = law.step(dt, &self.on_load(sample)?, load).map_err(failed)?;
+        let empty = |(joints, apart): &(Vec<usize>, f64)| aperture(joints, sample) < apart - CLOSED;
+        let let_go = self.holding == Holding::Gripping && self.hands.iter().any(empty);
+        if let_go || step.status == LoadStatus::Lost {
+            return Ok(None);
+        }
+        if let Some(torso) = &mut self.torso {
+            torso.follow((sample, dt), &[0, 1].map(|i| self.arms[i].tcp(sample)))?;
+        }
+        self.off = self.track(sample, &step.hands)?;
+        Ok(Some(step))
     }
 
     /// `root_from_face` of both hands at a sample.
@@ -132,6 +221,20 @@ impl BothArms {
         Ok([one(0)?, one(1)?])
     }
 
+    /// That what they carry has come to where it should be.
+    ///
+    /// # Errors
+    /// When a hand is still further than 20 mm from there: an arm is at its limits, or the guard stops it.
+    pub(crate) fn arrived(&self) -> Result<(), Failure> {
+        if self.off < OFF {
+            return Ok(());
+        }
+        Err(Failure::new(format!(
+            "a hand is still {:.0} mm from where it should carry the load; is that where both arms reach?",
+            self.off * 1e3
+        )))
+    }
+
     /// Moves both TCPs to their targets; returns the larger distance from them, m.
     ///
     /// # Errors
@@ -139,7 +242,10 @@ impl BothArms {
     pub(crate) fn track(&mut self, sample: &Sensed, targets: &[LinePoint; 2]) -> Result<f64, Failure> {
         let mut farthest = 0.0_f64;
         for (arm, target) in self.arms.iter_mut().zip(targets) {
-            farthest = farthest.max(arm.track(sample, &target.pose, target.linear, target.angular)?);
+            let carried = self.torso.as_ref().zip(arm.limb.tcp).map(|(torso, tcp)| torso.carries(tcp));
+            let Twist { linear, angular } = carried.unwrap_or_default();
+            let off = arm.track(sample, &target.pose, target.linear - linear, target.angular - angular)?;
+            farthest = farthest.max(off);
         }
         Ok(farthest)
     }

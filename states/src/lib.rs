@@ -32,6 +32,7 @@ mod reach;
 mod running_motion;
 mod skills;
 mod surface;
+mod torso;
 mod wiper;
 
 pub use equipment::Equipment;

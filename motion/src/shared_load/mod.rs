@@ -6,7 +6,7 @@
 //! is the squeeze, in the other directions it is what the hands do against each other because neither is exactly where it is
 //! believed to be. The hands move as if they were fixed to the load. On top of that they come closer until the squeeze is right,
 //! and yield to the rest of the internal wrench as a spring does, without an integral, as a load whose middle of mass is not in
-//! the middle shares its weight unequally for good.
+//! the middle shares its weight unequally for good. Hands that grip the load need no squeeze: they yield to all of it.
 //!
 //! It knows no robot and plans no way: whoever uses it says where the load shall be.
 
@@ -128,7 +128,7 @@ impl LoadForces {
 /// Whether both hands have the load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LoadStatus {
-    /// Both press on it.
+    /// Both press on it, or grip it as far as forces can tell.
     Held,
     /// One does not any more.
     Lost,
@@ -147,10 +147,20 @@ pub struct SharedLoadStep {
     pub status: LoadStatus,
 }
 
+/// How hands hold a load.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Holding {
+    /// They press on it from two sides: friction alone carries it.
+    Pressing,
+    /// Each grips it.
+    Gripping,
+}
+
 /// Two hands on one load; see the module.
 #[derive(Debug, Clone)]
 pub struct SharedLoad {
     config: SharedLoadConfig,
+    holding: Holding,
     /// Pose of the load's frame when it was taken: in the middle between the contacts, its axes along those of the motion's frame.
     taken: Isometry3<f64>,
     /// The TCPs and the contacts in the load's frame.
@@ -163,18 +173,34 @@ pub struct SharedLoad {
 }
 
 impl SharedLoad {
-    /// Takes the load with both hands where they are. The squeeze goes on from what it is.
+    /// Takes the load with both hands where they are, between which it is pressed. The squeeze goes on from what it is.
     ///
     /// # Errors
     /// When a constant is outside its range, a number is not finite, or the contacts are in one place.
     pub fn new(config: SharedLoadConfig, hands: &[HandOnLoad; 2]) -> Result<Self, MotionError> {
+        Self::held(config, Holding::Pressing, hands)
+    }
+
+    /// The same for a load that they hold in this way. Of one that they grip, the contacts are the middles of both grips.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn held(
+        config: SharedLoadConfig,
+        holding: Holding,
+        hands: &[HandOnLoad; 2],
+    ) -> Result<Self, MotionError> {
         config.check_ranges()?;
         let forces = LoadForces::of(hands)?;
         let middle = nalgebra::center(&hands[0].contact, &hands[1].contact);
         let taken = Isometry3::from_parts(middle.into(), UnitQuaternion::identity());
         Ok(Self {
-            wanted: forces.squeeze.clamp(0.0, config.most_squeeze),
+            wanted: match holding {
+                Holding::Pressing => forces.squeeze.clamp(0.0, config.most_squeeze),
+                Holding::Gripping => 0.0,
+            },
             config,
+            holding,
             load_from_tcp: hands.each_ref().map(|hand| taken.inverse() * hand.tcp),
             contacts: hands.each_ref().map(|hand| taken.inverse() * hand.contact),
             taken,
@@ -221,11 +247,17 @@ impl SharedLoad {
         sample_time(dt)?;
         let forces = LoadForces::of(hands)?;
         let c = &self.config;
-        let carried = forces.hands.iter().map(|(_, along)| along / c.friction);
-        let needed = carried.fold(c.squeeze, f64::max).min(c.most_squeeze);
-        self.wanted += (needed - self.wanted).clamp(-c.squeeze_rate * dt, c.squeeze_rate * dt);
         let load_from_root = loads[0].pose.rotation.inverse();
-        let line = load_from_root * forces.line.into_inner();
+        // Along this line the squeeze is kept; in all other directions the hands yield.
+        let (line, needed) = match self.holding {
+            Holding::Pressing => {
+                let carried = forces.hands.iter().map(|(_, along)| along / c.friction);
+                let needed = carried.fold(c.squeeze, f64::max).min(c.most_squeeze);
+                (load_from_root * forces.line.into_inner(), needed)
+            }
+            Holding::Gripping => (Vector3::zeros(), 0.0),
+        };
+        self.wanted += (needed - self.wanted).clamp(-c.squeeze_rate * dt, c.squeeze_rate * dt);
         let closing = (c.gain * (self.wanted - forces.squeeze)).clamp(-c.fastest, c.fastest);
         let along_sides = load_from_root * forces.internal - line * forces.squeeze;
         let along = self.beyond[0] - line * self.beyond[0].dot(&line);
@@ -238,7 +270,8 @@ impl SharedLoad {
             *beyond += rate * dt;
         }
         let least = forces.hands[0].0.min(forces.hands[1].0);
-        self.unpressed = if least < c.lost_share * self.wanted { self.unpressed + dt } else { 0.0 };
+        let loose = self.holding == Holding::Pressing && least < c.lost_share * self.wanted;
+        self.unpressed = if loose { self.unpressed + dt } else { 0.0 };
         let status = if self.unpressed > c.lost_after { LoadStatus::Lost } else { LoadStatus::Held };
         let goal = |hand: usize, sign: f64| self.goal(&loads[hand], hand, sign, &rates);
         Ok(SharedLoadStep { hands: [goal(0, 1.0), goal(1, -1.0)], forces, wanted: self.wanted, status })

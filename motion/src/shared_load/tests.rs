@@ -175,6 +175,43 @@ fn both_hands_move_as_the_load_does() {
 }
 
 #[test]
+fn hands_that_grip_yield_to_all_that_is_between_them_and_do_not_squeeze() {
+    let wrong = Vector3::new(0.006, 0.004, 0.003);
+    let mut rig = Rig { wrong, half: 0.2, ..Rig::new(6000.0, 0.04) };
+    // Grips pull as well as they push.
+    let pulled = |rig: &Rig| {
+        let mut hands = rig.hands();
+        let apart = hands[0].contact - hands[1].contact + Vector3::x() * -(2.0 * rig.half);
+        let force = (apart - rig.wrong) * -3000.0;
+        for (hand, sign) in hands.iter_mut().zip([1.0, -1.0]) {
+            let lever = hand.contact.coords - hand.tcp.translation.vector;
+            let force = force * sign - UP * (rig.weight / 2.0);
+            let torque = lever.cross(&force);
+            hand.wrench = Vector6::from_iterator(force.iter().chain(torque.iter()).copied());
+        }
+        hands
+    };
+    let mut law = SharedLoad::held(SharedLoadConfig::default(), Holding::Gripping, &pulled(&rig)).unwrap();
+    let load = resting(&law);
+    let before = LoadForces::of(&pulled(&rig)).unwrap().internal;
+    let mut energy = f64::INFINITY;
+    for k in 0..10_000 {
+        let step = law.step(DT, &pulled(&rig), &load).unwrap();
+        assert_eq!((step.wanted, step.status), (0.0, LoadStatus::Held));
+        rig.follow(&step);
+        if k % 500 == 0 {
+            // What is stored in the grips never grows but by what noise of the sum makes.
+            let stored = step.forces.internal.norm_squared() / 6000.0;
+            assert!(stored < energy + 1e-9, "{k}: {stored} after {energy}");
+            energy = stored;
+        }
+    }
+    let after = LoadForces::of(&pulled(&rig)).unwrap().internal;
+    // A spring of 2 kN/m yields to one of 6 kN/m: 1 / (1 + 6000 N/m * 5e-4 m/N) of it is left.
+    assert!((after - before / 4.0).norm() < 0.3, "{after} of {before}");
+}
+
+#[test]
 fn a_load_that_is_gone_is_noticed() {
     let mut rig = Rig::new(6000.0, 0.04);
     held(&mut rig, SharedLoadConfig::default(), 5.0);

@@ -31,7 +31,7 @@ use crate::render::{
 };
 use crate::start::RobotStart;
 use crate::truth::FrameTruth;
-use crate::world::{CameraSpec, ImageFault, World};
+use crate::world::{CameraSpec, Faults, ImageFault, World};
 
 pub(crate) use agents::AgentEyes;
 pub use drawing::Moment;
@@ -253,7 +253,7 @@ pub(crate) struct Eyes {
     /// The link of the left camera, if the robot has cameras.
     left: Option<LinkId>,
     believed_from_true: Isometry3<f64>,
-    fault: (ImageFault, f64),
+    faults: Faults,
     last: Option<(RgbImage, RgbImage, Option<DepthImage>)>,
 }
 
@@ -283,7 +283,7 @@ impl Eyes {
             belief: Kinematics::new(model),
             left: model.camera().map(|camera| camera.left),
             believed_from_true,
-            fault: (world.faults.images, world.faults.from),
+            faults: world.faults.clone(),
             last: None,
         }
     }
@@ -358,9 +358,8 @@ impl Eyes {
     /// Adds the sensors' noise and faults.
     fn sensed(&mut self, view: &SceneState<'_>, drawn: [Rendering; 2]) -> StereoFrame {
         let mut pictures = self.rig.sensed(drawn);
-        let (fault, from) = self.fault;
-        if view.exposed_ns as f64 * 1e-9 >= from {
-            match fault {
+        if self.faults.at(view.exposed_ns as f64 * 1e-9) {
+            match self.faults.images {
                 ImageFault::None => {}
                 ImageFault::Black => {
                     pictures.0.data_mut().fill(0);

@@ -1,6 +1,6 @@
 //! Builds a world's room, objects and robot in Rapier, once, at the start. It does not step them.
 
-use armarium_robot::{Geometry, JointKind, LinkId, Mesh, Model};
+use armarium_robot::{Geometry, JointKind, LinkId, Mesh, Model, Visual};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
@@ -87,7 +87,7 @@ fn add_soft_box(
     physics.insert_collider(core, Some(handle));
     let reaction = FoundationReaction::default();
     let (colliders, foundation) = (vec![collider], Some(foundation));
-    Object { handle, colliders, foundation, reaction, loose: true, cuboid: None }
+    Object { handle, colliders, foundation, reaction, loose: true, has_handles: false, cuboid: None }
 }
 
 /// A body whose parts are all of one density.
@@ -98,15 +98,19 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
         false => rapier::RigidBodyBuilder::dynamic(),
     };
     let handle = physics.insert_body(body.pose(convert::pose(pose)).can_sleep(false));
-    let parts: Vec<_> = spec
-        .parts()
-        .iter()
-        .map(|part| {
-            shape(&part.shape, &part.link_from_shape)
-                .friction(spec.friction)
-                .collision_groups(groups(RIGID, ROBOT | OBJECT | ROOM | RIGID | PERSON))
-        })
-        .collect();
+    let (all, handles) = (spec.parts(), spec.handle_parts().len());
+    let plain = all.len() - handles;
+    let form = |(i, part): (usize, &Visual)| {
+        let form = shape(&part.shape, &part.link_from_shape)
+            .collision_groups(groups(RIGID, ROBOT | OBJECT | ROOM | RIGID | PERSON));
+        // What sticks to a handle is the soft grip of a hand.
+        if i < plain {
+            form.friction(spec.friction)
+        } else {
+            form.friction(0.0).friction_combine_rule(rapier::CoefficientCombineRule::Multiply)
+        }
+    };
+    let parts: Vec<_> = all.iter().enumerate().map(form).collect();
     let volume: f64 = parts.iter().map(|part| part.shape.mass_properties(1.0).mass()).sum();
     let density = if volume > 0.0 { spec.mass / volume } else { 0.0 };
     let colliders: Vec<ColliderHandle> =
@@ -114,7 +118,8 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
     let guided = attach(physics, handle, pose, spec);
     let reaction = FoundationReaction::default();
     let cuboid = (spec.shape == BodyShape::Box).then(|| spec.half());
-    Object { handle, colliders, foundation: None, reaction, loose: !fixed && !guided, cuboid }
+    let (loose, has_handles) = (!fixed && !guided, handles > 0);
+    Object { handle, colliders, foundation: None, reaction, loose, has_handles, cuboid }
 }
 
 /// Adds a part of a person: one with a mass moves by forces, without gravity; the others are moved.

@@ -3,7 +3,7 @@
 //! An arm without a sensor has a hand, too; then nobody reads what is felt at its TCP.
 
 use armarium_robot::{ForceTorque, Limb, LinkId, Model};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
@@ -14,6 +14,7 @@ use super::convert;
 use super::grip::{Grip, Load, PadPress};
 use super::pad::Moving;
 use super::plant::{DT, Object, moving};
+use super::soft_grip::SoftGrip;
 use super::wrench::{Momentum, WristWrench};
 
 /// A hand, and what it does.
@@ -31,6 +32,10 @@ pub(super) struct Hand {
     body_from_tcp: Isometry3<f64>,
     wrench: WristWrench,
     pub(super) grip: Grip,
+    /// The middle of what it grips, TCP frame.
+    grasp: Point3<f64>,
+    /// How it grips a body with handles.
+    pub(super) soft: Option<SoftGrip>,
 }
 
 impl Hand {
@@ -56,6 +61,10 @@ impl Hand {
             body_from_tcp: Isometry3::identity(),
             wrench: WristWrench::new(&wrist, objects),
             grip: Grip::default(),
+            grasp: model
+                .hand_of(arm)
+                .map_or_else(Point3::origin, |hand| hand.grasp_in_tcp.translation.vector.into()),
+            soft: None,
         };
         hand.find(&wrist, robot);
         Some(hand)
@@ -94,6 +103,17 @@ impl Hand {
         moving(&bodies[self.palm], &self.body_from_tcp)
     }
 
+    /// The object that a joint holds in the hand: what its sensor feels the motion of.
+    pub(super) fn joined(&self) -> Option<usize> {
+        self.grip.held().filter(|_| self.soft.is_none())
+    }
+
+    /// Grips a body with handles softly from now on.
+    pub(super) fn grip_softly(&mut self, bodies: &rapier::RigidBodySet, (index, object): (usize, &Object)) {
+        let pose = convert::to_pose(bodies[object.handle].position());
+        self.soft = Some(SoftGrip::new(index, self.grasp, &self.tcp(bodies), &pose));
+    }
+
     /// What the hand exerts on its sensor.
     pub(super) fn wrench(&self) -> ForceTorque {
         self.wrench.reading()
@@ -107,7 +127,7 @@ impl Hand {
         objects: &[Object],
     ) -> bool {
         self.colliders.contains(&collider)
-            || self.grip.held().is_some_and(|held| Some(objects[held].handle) == body)
+            || self.joined().is_some_and(|held| Some(objects[held].handle) == body)
     }
 
     /// Advances the grip by a step. `outside` is the sum of the forces on the held object besides weight and hand, with
@@ -126,8 +146,10 @@ impl Hand {
                 pads.map(|pad| press(physics, *pad, &objects[object])).collect()
             })
             .collect();
-        let load = self.grip.held().zip(outside).map(|(held, outside)| -> Load {
-            self.wrench.load(held, &momenta[held], &outside.force, &outside.torque)
+        let soft = self.soft.as_ref().map(|soft| Load { force: -soft.reaction.force, torque: soft.moment });
+        let load = soft.or_else(|| {
+            let (held, outside) = self.joined().zip(outside)?;
+            Some(self.wrench.load(held, &momenta[held], &outside.force, &outside.torque))
         });
         self.grip.step(&presses, load, DT);
     }
@@ -147,7 +169,7 @@ impl Hand {
     /// holds.
     pub(super) fn feel(&mut self, bodies: &rapier::RigidBodySet, objects: &[Momentum], outside: &Outside) {
         let fingers = self.momenta(bodies);
-        let held = self.grip.held();
+        let held = self.joined();
         let outside = (&outside.force, &outside.torque);
         self.wrench.update(&bodies[self.palm], &fingers, objects, held, outside);
     }

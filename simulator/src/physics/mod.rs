@@ -9,15 +9,18 @@ mod convert;
 mod drives;
 pub mod grip;
 mod hand;
+mod holding;
 pub mod pad;
 mod people;
 mod plant;
 mod robot;
 #[cfg(test)]
 mod scene_tests;
+mod soft_grip;
 #[cfg(test)]
 mod tests;
 mod wrench;
 
+pub use holding::{PressedLoad, PressingHand};
 pub use people::LedHand;
-pub use plant::{Contact, DT, External, PAD_FRICTION, Plant, PressedLoad, PressingHand, Targets, Touched};
+pub use plant::{Contact, DT, External, PAD_FRICTION, Plant, Targets, Touched};

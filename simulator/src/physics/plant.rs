@@ -12,11 +12,12 @@
 //! - Soft objects are free boxes on an [`ElasticFoundation`] of springs. Rapier handles their contacts with the fingers,
 //!   and a thin core keeps them from falling through the table when they lie on their side. Rapier handles rigid bodies
 //!   alone; for them the table is flat.
-//! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
+//! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)); one with
+//!   handles by springs instead (see [`soft_grip`](super::soft_grip)), by several hands at once.
 //! - The wrist sensors are exact here (see [`wrench`](super::wrench)); noise is added in the sensing.
 
 use armarium_robot::ForceTorque;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::parry::query;
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
@@ -24,9 +25,10 @@ use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandl
 use super::build::{add_body, add_room, empty_room};
 use super::contacts::{Outside, Touch, touches};
 use super::convert;
-use super::pad::{Moving, Pad, PadReaction};
+use super::pad::{Moving, PadReaction};
 use super::people::{LedHand, PersonBodies};
 use super::robot::{ArmWithHand, PaddedHand, PlantRobot};
+use super::soft_grip::SoftGrip;
 use super::wrench::Momentum;
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction, RigidMotion};
@@ -63,20 +65,22 @@ pub(super) struct Object {
     pub(super) reaction: FoundationReaction,
     /// Whether a hand can take it.
     pub(super) loose: bool,
+    /// Whether it has handles, so that hands grip it softly.
+    pub(super) has_handles: bool,
     /// Half the edges of a rigid box, m.
     pub(super) cuboid: Option<Vector3<f64>>,
 }
 
 /// The physics of a world.
 pub struct Plant {
-    physics: rapier::PhysicsWorld,
+    pub(super) physics: rapier::PhysicsWorld,
     table: TableTop,
     table_collider: ColliderHandle,
-    objects: Vec<Object>,
-    robots: Vec<PlantRobot>,
+    pub(super) objects: Vec<Object>,
+    pub(super) robots: Vec<PlantRobot>,
     people: Vec<PersonBodies>,
     /// The contacts of the last step.
-    touches: Vec<Touch>,
+    pub(super) touches: Vec<Touch>,
     /// Whether a joint holds what a hand grips, besides the contacts.
     pub(super) joins: bool,
 }
@@ -149,6 +153,11 @@ impl Plant {
     /// Pose of an object's middle.
     pub fn object(&self, index: usize) -> Option<Isometry3<f64>> {
         self.objects.get(index).map(|o| convert::to_pose(self.physics.bodies[o.handle].position()))
+    }
+
+    /// Whether something has handles.
+    pub fn has_handles(&self) -> bool {
+        self.objects.iter().any(|object| object.has_handles)
     }
 
     /// The springs under an object, if it is soft.
@@ -226,6 +235,7 @@ impl Plant {
         }
         self.apply(external);
         self.press_pads();
+        self.pull_grips();
         self.lead();
         self.physics.step();
         self.touches = touches(&self.physics);
@@ -244,8 +254,7 @@ impl Plant {
             if !self.robots[i].wake_and_rest(*targets, &push, &external.objects) {
                 continue;
             }
-            let held: Vec<Option<usize>> =
-                self.robots[i].arms.iter().map(|arm| arm.hand.grip.held()).collect();
+            let held: Vec<Option<usize>> = self.robots[i].arms.iter().map(|arm| arm.hand.joined()).collect();
             held.iter().flatten().for_each(|object| self.part(*object));
             if let Err(error) = self.robots[i].rebuild(&mut self.physics) {
                 tracing::error!("the robot's bodies cannot be built again: {error}");
@@ -289,38 +298,6 @@ impl Plant {
         }
     }
 
-    /// Applies the forces of soft pads to the hands and to the boxes that they press.
-    fn press_pads(&mut self) {
-        let Self { physics, objects, robots, .. } = self;
-        for arm in robots.iter_mut().flat_map(|robot| &mut robot.arms) {
-            let ArmWithHand { hand, pad: Some(padded), .. } = arm else { continue };
-            let tcp = hand.moving(&physics.bodies);
-            let far = |object: &Object| {
-                let at = convert::to_pose(physics.bodies[object.handle].position());
-                object.cuboid.map(|_| (at.translation.vector - tcp.pose.translation.vector).norm())
-            };
-            let boxes = objects.iter().enumerate().filter_map(|(i, object)| Some((i, far(object)?)));
-            let Some((nearest, _)) = boxes.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
-            let Object { handle, cuboid: Some(half), .. } = &objects[nearest] else { continue };
-            let carried = moving(&physics.bodies[*handle], &Isometry3::identity());
-            if padded.pad.as_ref().is_none_or(|(pressed, _)| *pressed != nearest) {
-                padded.pad = Some((nearest, Pad::new(&padded.mounted, physics.bodies[*handle].mass())));
-            }
-            let Some((_, pad)) = &mut padded.pad else { continue };
-            let side = pad.side(&tcp, &carried);
-            padded.reaction = pad.step(&tcp, &carried, half, &side, DT);
-            let PadReaction { force, torque, .. } = padded.reaction;
-            let at = tcp.pose.translation.vector;
-            let palm = &mut physics.bodies[hand.palm];
-            palm.add_force_at_point(convert::vector(&force), convert::vector(&at), true);
-            palm.add_torque(convert::vector(&torque), true);
-            let on_box = -(torque + (at - carried.pose.translation.vector).cross(&force));
-            let body = &mut physics.bodies[*handle];
-            body.add_force(convert::vector(&-force), true);
-            body.add_torque(convert::vector(&on_box), true);
-        }
-    }
-
     /// Moves the people, and what they do to the hands of the first robot that they lead.
     fn lead(&mut self) {
         let Self { physics, people, robots, .. } = self;
@@ -341,21 +318,6 @@ impl Plant {
     pub fn pads(&self, robot: usize) -> impl Iterator<Item = PadReaction> + '_ {
         let arms = self.robots[robot].arms.iter();
         arms.map(|arm| arm.pad.as_ref().map_or_else(PadReaction::default, |pad| pad.reaction))
-    }
-
-    /// What the pads of the first robot's first two arms press, if they are nearest to the same box.
-    pub fn pressed(&self) -> Option<PressedLoad> {
-        let pressed = |arm: &ArmWithHand| {
-            let padded = arm.pad.as_ref()?;
-            let (body, _) = padded.pad.as_ref()?;
-            let PadReaction { force, slipping, .. } = padded.reaction;
-            let at = arm.hand.tcp(&self.physics.bodies) * padded.mounted.middle;
-            Some((*body, PressingHand { at, force: -force, slipping }))
-        };
-        let [first, second, ..] = self.robots[0].arms.as_slice() else { return None };
-        let ((body, first), (other, second)) = (pressed(first)?, pressed(second)?);
-        let table_n = self.contact(body).normal;
-        (body == other).then_some(PressedLoad { body, hands: [first, second], table_n })
     }
 
     /// Poses of the TCPs of a robot's arms, in the room.
@@ -385,13 +347,16 @@ impl Plant {
                 .enumerate()
                 .filter(|(k, _)| *k != n)
                 .filter_map(|(_, (.., held))| *held)
+                .filter(|held| !self.objects[*held].has_handles)
                 .collect();
             hand.step_grip(&self.physics, &self.objects, momenta, outside, &others);
             let after = hand.grip.held();
             if before == after {
                 continue;
             }
-            before.into_iter().for_each(|lost| self.part(lost));
+            if hand.soft.take().is_none() {
+                before.into_iter().for_each(|lost| self.part(lost));
+            }
             after.into_iter().for_each(|taken| self.join((robot, i), taken));
         }
     }
@@ -420,6 +385,10 @@ impl Plant {
     fn join(&mut self, (robot, arm): (usize, usize), object: usize) {
         if !self.joins {
             return;
+        }
+        if self.objects[object].has_handles {
+            let hand = &mut self.robots[robot].arms[arm].hand;
+            return hand.grip_softly(&self.physics.bodies, (object, &self.objects[object]));
         }
         let (palm, handle) = (self.robots[robot].arms[arm].hand.palm, self.objects[object].handle);
         let bodies = &self.physics.bodies;
@@ -473,7 +442,11 @@ impl Plant {
                 outside.add(force, &tcp.translation.vector);
                 outside.torque += torque;
             }
-            if let Some(held) = arm.hand.grip.held() {
+            if let Some(SoftGrip { reaction, .. }) = &arm.hand.soft {
+                outside.add(&reaction.force, &arm.hand.tcp(&self.physics.bodies).translation.vector);
+                outside.torque += reaction.torque;
+            }
+            if let Some(held) = arm.hand.joined() {
                 let middle =
                     convert::to_vector(self.physics.bodies[self.objects[held].handle].center_of_mass());
                 let reaction = &self.objects[held].reaction;
@@ -490,7 +463,7 @@ impl Plant {
 
     /// For each arm, whether something touches it or what it holds.
     fn touched(&self) -> Vec<bool> {
-        let held = |arm: &ArmWithHand| arm.hand.grip.held().map(|held| &self.objects[held]);
+        let held = |arm: &ArmWithHand| arm.hand.joined().map(|held| &self.objects[held]);
         let presses = |arm: &ArmWithHand| arm.pad.as_ref().is_some_and(|pad| pad.reaction.normal > 0.0);
         let rubs = |arm: &ArmWithHand| {
             arm.led.is_some() || presses(arm) || held(arm).is_some_and(|object| object.reaction.normal > 0.0)
@@ -572,28 +545,6 @@ pub struct Contact {
     pub normal: f64,
     /// Friction, root frame, N.
     pub tangential: Vector3<f64>,
-}
-
-/// A hand that presses with its pad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PressingHand {
-    /// The middle of the pad's face, m.
-    pub at: Point3<f64>,
-    /// The force of the hand on the body, N.
-    pub force: Vector3<f64>,
-    /// How many points of the pad slip.
-    pub slipping: usize,
-}
-
-/// A body between the first robot's first two hands.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PressedLoad {
-    /// The body, by its index.
-    pub body: usize,
-    /// What both hands do to it; nothing where they do not touch it.
-    pub hands: [PressingHand; 2],
-    /// The normal force of the table on it, N.
-    pub table_n: f64,
 }
 
 /// What a robot touches.

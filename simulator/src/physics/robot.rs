@@ -176,7 +176,7 @@ impl PlantRobot {
         for (i, arm) in self.arms.iter_mut().enumerate() {
             let asked = arm.rest.asks_for_motion(&arm.joints, targets);
             let moves = arm.joints.iter().any(|&joint| self.joints.velocity[joint].abs() > RESTING);
-            let knocked = arm.hand.grip.held().and_then(|held| knocks.get(held));
+            let knocked = arm.hand.joined().and_then(|held| knocks.get(held));
             let pushed = (i == self.working && *push != Vector3::zeros())
                 || knocked.is_some_and(|knock| *knock != Vector3::zeros());
             let busy = asked || pushed || moves || arm.touched;

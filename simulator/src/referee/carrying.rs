@@ -1,6 +1,6 @@
 //! The probe `carrying`: what two hands do to what they carry between them, and how they put it down.
 
-use armarium_values::report::Requirement::{AtLeast, AtMost, Shown};
+use armarium_values::report::Requirement::{AtLeast, AtMost, Between, Shown};
 use armarium_values::report::{Block, Figure, Section, Series, TimePlot};
 use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
@@ -10,7 +10,7 @@ use super::Milestone;
 use super::probes::{Probe, figure};
 use super::run::{Run, seconds};
 use crate::physics::PressedLoad;
-use crate::world::GRAVITY;
+use crate::world::{BodySpec, GRAVITY};
 
 pub(super) const PROBE: Probe = Probe { name: "carrying", measure, asks, section };
 
@@ -20,6 +20,15 @@ const STRIDE: usize = 10;
 /// impulse.
 const WINDOW: usize = 10;
 
+/// What stands on the load is spilled when the fluid in it would stand at a larger angle to its rim, degrees, ...
+const SPILLED_DEG: f64 = 12.0;
+/// ... or when it has moved on the load by this, m.
+const SPILLED_M: f64 = 0.01;
+/// Time constant of the low-pass of 10 Hz on the acceleration, s.
+const SMOOTH: f64 = 1.0 / (2.0 * std::f64::consts::PI * 10.0);
+/// The largest internal force where hands grip, N.
+const PULLED_N: f64 = 60.0;
+
 /// A load that is pressed with more counts as crushed, N.
 pub(super) const CRUSHED_N: f64 = 40.0;
 
@@ -27,8 +36,13 @@ pub(super) const CRUSHED_N: f64 = 40.0;
 struct CarryingFigures {
     /// The body that was carried.
     load: String,
-    /// Its mass, kg.
+    /// Its mass with what stands on it, kg.
     mass_kg: f64,
+    /// Whether the hands grip it, instead of pressing on it.
+    gripped: bool,
+    /// By which share the hands' first weighing is wrong, after the lift.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mass_error: Option<f64>,
     /// From when to when it was carried, s.
     from_s: f64,
     for_s: f64,
@@ -36,8 +50,13 @@ struct CarryingFigures {
     internal_mean_n: f64,
     internal_least_n: f64,
     internal_most_n: f64,
-    /// Largest angle between its z axis and the vertical, less that at the beginning, degrees.
+    /// Largest angle between its z axis and the vertical, less that at the beginning where it is pressed, degrees.
     tilt_deg: f64,
+    /// Of what stands on it: the largest angle of its axis to what pulls at what it holds, degrees, and how far it moved on the load, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sloshed_deg: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    upon_moved_m: Option<f64>,
     /// How far it has slipped between the hands, from when they bore it to the end, m.
     slipped_m: f64,
     /// Share of the time in which both hands touched it.
@@ -66,7 +85,7 @@ pub(super) fn between<'r>(run: &Run<'r>, from: u64, to: u64) -> &'r [Pressed] {
 /// While it was carried: from the first time that this began to the last time that it ended, or to the end of the run.
 fn carried<'r>(run: &Run<'r>) -> Option<&'r [Pressed]> {
     let from = run.first_time_of(|mark| *mark == Milestone::CarryingStarted)?;
-    let to = run.time_of(|mark| *mark == Milestone::CarryingEnded).filter(|to| *to > from);
+    let to = run.time_of(|mark| matches!(mark, Milestone::CarryingEnded { .. })).filter(|to| *to > from);
     Some(between(run, from, to.unwrap_or(run.end_ns())))
 }
 
@@ -96,28 +115,91 @@ fn measure(run: &Run<'_>) -> Option<Value> {
     let forces: Vec<f64> = carried.iter().map(|(_, load, _)| internal_force(load)).collect();
     let fold = |start: f64, pick: fn(f64, f64) -> f64| forces.iter().copied().fold(start, pick);
     let touched = |(_, load, _): &&Pressed| load.hands.iter().all(|hand| hand.force != Vector3::zeros());
-    let lean = |(_, _, pose): &Pressed| (tilt(pose) - tilt(start)).abs().to_degrees();
+    // What is gripped is to be level; what is pressed keeps the tilt of the table on which it stood.
+    let stood = if load.gripped { 0.0 } else { tilt(start) };
+    let lean = |(_, _, pose): &Pressed| (tilt(pose) - stood).abs().to_degrees();
     let way = |pair: &[Pressed]| (pair[1].2.translation.vector - pair[0].2.translation.vector).norm();
     let height = |(_, _, pose): &Pressed| pose.translation.z - start.translation.z;
-    let borne = carried.iter().find(|(_, load, _)| load.table_n == 0.0);
-    let put_down = put_down(run, body.mass * GRAVITY);
+    let borne = carried.iter().position(|(_, load, _)| load.table_n == 0.0);
+    let upon = Upon::of(run, load.body);
+    let mass = body.mass + upon.as_ref().map_or(0.0, |upon| upon.mass);
+    let put_down = put_down(run, mass * GRAVITY);
+    let weighed = run.marks().iter().find_map(|(_, mark)| match mark {
+        Milestone::CarryingEnded { weight_n } => Some(*weight_n),
+        _ => None,
+    });
+    let sloshed = upon.as_ref().and_then(|upon| upon.sloshed(run, *from));
+    // Where nothing is between the hands there is no entry at all.
+    let lasted = (end.0 - from) / 1_000_000 + 1;
     let figures = CarryingFigures {
         load: body.name.clone(),
-        mass_kg: body.mass,
+        mass_kg: mass,
+        gripped: load.gripped,
+        mass_error: weighed.map(|weight| weight / (mass * GRAVITY) - 1.0),
         from_s: seconds(*from),
         for_s: seconds(end.0 - from),
         internal_mean_n: forces.iter().sum::<f64>() / forces.len() as f64,
         internal_least_n: fold(f64::INFINITY, f64::min),
         internal_most_n: fold(0.0, f64::max),
         tilt_deg: carried.iter().map(lean).fold(0.0, f64::max),
-        slipped_m: borne.map_or(0.0, |borne| (in_hands(end) - in_hands(borne)).norm()),
-        held: carried.iter().filter(touched).count() as f64 / carried.len() as f64,
+        sloshed_deg: sloshed.map(|(angle, _)| angle),
+        upon_moved_m: sloshed.map(|(_, moved)| moved),
+        slipped_m: borne.map_or(0.0, |borne| (in_hands(end) - in_hands(&carried[borne])).norm()),
+        held: carried.iter().filter(touched).count() as f64 / lasted as f64,
         way_m: carried.windows(2).map(way).sum(),
         lifted_m: carried.iter().map(height).fold(0.0, f64::max),
         put_down_n: put_down.map(|(force, _)| force),
         put_down_moved_m: put_down.map(|(_, moved)| moved),
     };
     serde_json::to_value(figures).ok()
+}
+
+/// What stands on the load: the first body that the world puts there.
+struct Upon {
+    /// Its index and its place on the load, load's frame.
+    body: usize,
+    /// Its mass with what is in it, kg.
+    mass: f64,
+}
+
+impl Upon {
+    fn of(run: &Run<'_>, load: usize) -> Option<Self> {
+        let name = run.world.body_name(load)?;
+        let stands = |(_, body): &(usize, BodySpec)| body.on.as_deref() == Some(name);
+        let (body, spec) = run.world.named_bodies().enumerate().find(stands)?;
+        let inside = spec.contents.map_or(0.0, |inside| f64::from(inside.balls) * inside.mass);
+        Some(Self { body, mass: spec.mass + inside })
+    }
+
+    /// From `from` ns on, while both hands have the load: the largest angle of its axis to the pull that what it holds feels, degrees, and
+    /// how far it moved on the load, m.
+    fn sloshed(&self, run: &Run<'_>, from: u64) -> Option<(f64, f64)> {
+        let held = between(run, from, u64::MAX);
+        let places = run.log.moved.get(&self.body)?;
+        let mut next = 0;
+        let mut place_at = |t: u64| {
+            next += places[next..].partition_point(|(at, _)| *at <= t);
+            places.get(next.checked_sub(1)?).map(|(_, pose)| *pose)
+        };
+        let begin = held.first()?;
+        let on_load = begin.2.inverse() * place_at(begin.0)?;
+        let point = |entry: &Pressed| (entry.2 * on_load).translation.vector;
+        let (mut pull, mut angle, mut moved) = (Vector3::zeros(), 0.0_f64, 0.0_f64);
+        for three in held.windows(3) {
+            let (t, _, pose) = &three[2];
+            let place = place_at(*t)?;
+            let steps = [three[1].0 - three[0].0, three[2].0 - three[1].0];
+            if steps == [1_000_000; 2] {
+                let bend = point(&three[2]) - point(&three[1]) * 2.0 + point(&three[0]);
+                pull += (bend * 1e6 - pull) * (1e-3 / (SMOOTH + 1e-3));
+            }
+            let up = Vector3::z() * GRAVITY + pull;
+            angle = angle.max((place.rotation * Vector3::z()).angle(&up).to_degrees());
+            moved =
+                moved.max(((pose.inverse() * place).translation.vector - on_load.translation.vector).norm());
+        }
+        Some((angle, moved))
+    }
 }
 
 /// The largest force of the table less the weight, N, and how far the load moved from when the table bore it, m.
@@ -135,16 +217,37 @@ fn put_down(run: &Run<'_>, weight: f64) -> Option<(f64, f64)> {
 
 fn asks(own: &Value) -> Vec<Figure> {
     let of = |name, key, unit, requirement| figure(("Carrying", name), own, key, unit, requirement);
+    let (least, most, tilted) = match own["gripped"] == true {
+        true => (AtLeast(-PULLED_N), AtMost(PULLED_N), AtMost(3.0)),
+        false => (AtLeast(5.0), AtMost(CRUSHED_N), AtMost(5.0)),
+    };
     let mut figures = vec![
         of("internal force, mean", ("internal_mean_n", 1.0), ("N", 1), Shown),
-        of("internal force, least", ("internal_least_n", 1.0), ("N", 1), AtLeast(5.0)),
-        of("internal force, largest", ("internal_most_n", 1.0), ("N", 1), AtMost(CRUSHED_N)),
-        of("tilt, largest", ("tilt_deg", 1.0), ("°", 1), AtMost(5.0)),
+        of("internal force, least", ("internal_least_n", 1.0), ("N", 1), least),
+        of("internal force, largest", ("internal_most_n", 1.0), ("N", 1), most),
+        of("tilt, largest", ("tilt_deg", 1.0), ("°", 1), tilted),
         of("slipped", ("slipped_m", 1e3), ("mm", 1), AtMost(5.0)),
         of("touched by both hands", ("held", 100.0), ("%", 1), AtLeast(100.0)),
         of("way", ("way_m", 1.0), ("m", 2), Shown),
         of("lifted", ("lifted_m", 1e3), ("mm", 0), AtLeast(50.0)),
     ];
+    if own.get("mass_error").is_some() && own["gripped"] == true {
+        figures.push(of("weighed wrong by", ("mass_error", 100.0), ("%", 1), Between(-5.0, 5.0)));
+    }
+    if own.get("sloshed_deg").is_some() {
+        figures.push(of(
+            "spilled: angle of what it holds",
+            ("sloshed_deg", 1.0),
+            ("°", 1),
+            AtMost(SPILLED_DEG),
+        ));
+        figures.push(of(
+            "spilled: moved on the load",
+            ("upon_moved_m", 1e3),
+            ("mm", 1),
+            AtMost(SPILLED_M * 1e3),
+        ));
+    }
     if own.get("put_down_n").is_some() {
         figures.push(of("put down with, over the weight", ("put_down_n", 1.0), ("N", 1), AtMost(15.0)));
         figures.push(of("moved by letting go", ("put_down_moved_m", 1e3), ("mm", 1), AtMost(5.0)));
@@ -184,7 +287,7 @@ mod tests {
     use super::*;
     use crate::physics::PressingHand;
     use crate::referee::TruthLog;
-    use crate::world::{BodySpec, World};
+    use crate::world::World;
 
     /// A box of 2 kg that two hands press with 25 N, lift by 0.1 m in a second, tilt by `tilt` rad at the end, and put down with
     /// `extra` N more than its weight.
@@ -205,7 +308,7 @@ mod tests {
             let table_n = if t < 3.5 { 0.0 } else { 2.0 * GRAVITY + extra };
             log.pressed.push((
                 ms * 1_000_000,
-                PressedLoad { body: 0, hands: [hand(1.0), hand(-1.0)], table_n },
+                PressedLoad { body: 0, hands: [hand(1.0), hand(-1.0)], table_n, gripped: false },
                 pose,
             ));
         }
@@ -216,7 +319,7 @@ mod tests {
         let (world, log) = carried(tilt, extra);
         let marks = [
             (1_000_000_000, Milestone::CarryingStarted),
-            (2_400_000_000, Milestone::CarryingEnded),
+            (2_400_000_000, Milestone::CarryingEnded { weight_n: 19.0 }),
             (2_500_000_000, Milestone::PutDownStarted),
             (3_990_000_000, Milestone::PutDownEnded),
         ];
@@ -240,6 +343,47 @@ mod tests {
         is("put_down_moved_m", 0.0);
         assert_eq!((own["load"].as_str(), own["held"].as_f64()), (Some("box"), Some(1.0)));
         assert!(asks(&own).iter().all(|figure| figure.passed() != Some(false)), "{own}");
+    }
+
+    /// The same, gripped and with a cup on it, which slides by `slides` m in half a second while they set off with `ahead` m/s^2.
+    fn with_cup(slides: f64, ahead: f64) -> Value {
+        let (mut world, mut log) = carried(0.0, 0.0);
+        let cup = BodySpec { name: "cup".into(), mass: 0.3, on: Some("box".into()), ..BodySpec::default() };
+        world.bodies.push(cup);
+        let places = log.moved.entry(1).or_default();
+        for (stamp, load, pose) in &mut log.pressed {
+            let t = *stamp as f64 * 1e-9 - 1.2;
+            let far = 0.5 * ahead * t.clamp(0.0, 0.5).powi(2) + ahead * 0.5 * (t - 0.5).max(0.0);
+            pose.translation.x += far;
+            load.hands.iter_mut().for_each(|hand| hand.at.x += far);
+            load.gripped = true;
+            load.hands[0].force.x = 0.0;
+            let slid = slides * (t / 0.5).clamp(0.0, 1.0);
+            places.push((*stamp, *pose * Isometry3::translation(0.05 + slid, 0.0, 0.1)));
+        }
+        let marks = [
+            (1_000_000_000, Milestone::CarryingStarted),
+            (2_400_000_000, Milestone::CarryingEnded { weight_n: 2.1 * GRAVITY }),
+        ];
+        measure(&Run::new(&world, &log, &marks, &[])).unwrap()
+    }
+
+    #[test]
+    fn a_cup_that_slides_or_sloshes_is_spilled_and_a_load_is_weighed_with_it() {
+        let missed = |own: &Value| -> Vec<String> {
+            asks(own).into_iter().filter(|f| f.passed() == Some(false)).map(|f| f.name).collect()
+        };
+        let own = with_cup(0.0, 0.2);
+        assert_eq!(own["mass_kg"], 2.3);
+        assert!((own["mass_error"].as_f64().unwrap() - (2.1 / 2.3 - 1.0)).abs() < 1e-9, "{own}");
+        assert_eq!(missed(&own), ["weighed wrong by"]);
+        let slid = with_cup(0.012, 0.2);
+        assert_eq!(missed(&slid), ["weighed wrong by", "spilled: moved on the load"]);
+        // An acceleration of 3 m/s^2 tilts what stands in it by 17 degrees.
+        let sloshed = with_cup(0.0, 3.0);
+        let angle = sloshed["sloshed_deg"].as_f64().unwrap();
+        assert!((angle - (3.0 / GRAVITY).atan().to_degrees()).abs() < 0.5, "{angle}");
+        assert_eq!(missed(&sloshed), ["weighed wrong by", "spilled: angle of what it holds"]);
     }
 
     #[test]

@@ -253,7 +253,11 @@ mod tests {
                 let hands = [hand(1.0, 1.0), hand(-1.0, 1.0 + higher)];
                 // The load is carried in the middle between both hands.
                 let pose = Isometry3::translation(0.0, 0.5, 1.0 + higher / 2.0);
-                log.pressed.push((ms * 1_000_000, PressedLoad { body: 0, hands, table_n: 0.0 }, pose));
+                log.pressed.push((
+                    ms * 1_000_000,
+                    PressedLoad { body: 0, hands, table_n: 0.0, gripped: false },
+                    pose,
+                ));
             }
             let at = |ms: u64| (begin + ms) * 1_000_000;
             marks.push((at(0), Milestone::EpochStarted));

@@ -15,6 +15,8 @@ pub(super) const MAX_FRAMES: usize = 100_000;
 
 /// How far an object that is not in question must have moved for its place to be logged anew, m.
 const MOVED: f64 = 1e-4;
+/// And how far it must have turned, rad.
+const TURNED: f64 = 1e-3;
 
 /// One millisecond. In the recording: `/truth/tcp`, `/truth/contact` and `/truth/sponge`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,6 +65,8 @@ pub struct TruthLog {
     pub(super) nearest: Vec<f64>,
     /// What was between the hands, and the pose of its middle, each millisecond in a world whose robot has pads.
     pub(super) pressed: Vec<(u64, PressedLoad, Isometry3<f64>)>,
+    /// The TCPs of the first robot's first two arms, each millisecond in a world with handles.
+    pub(super) tcps: Vec<(u64, [Isometry3<f64>; 2])>,
     /// The hands that people led, each millisecond.
     pub(super) led: Vec<(u64, LedHand)>,
     /// What the robot's memory told of the surfaces around it: when, ns, the surface's name, and `None` when it is no longer known.
@@ -95,6 +99,9 @@ impl TruthLog {
         });
         let between = s.pressed.and_then(|load| Some((load, *s.objects.get(load.body)?)));
         self.pressed.extend(between.map(|(load, pose)| (s.stamp_ns, load, pose)));
+        if let [first, second, ..] = s.tcps[..] {
+            self.tcps.push((s.stamp_ns, [first, second]));
+        }
         self.led.extend(s.led.iter().map(|hand| (s.stamp_ns, *hand)));
         for (object, pose) in s.objects.iter().enumerate() {
             self.ends.entry(object).or_insert([*pose; 2])[1] = *pose;
@@ -109,8 +116,10 @@ impl TruthLog {
         }
         for (object, pose) in s.objects.iter().enumerate().filter(|(object, _)| s.object != Some(*object)) {
             let places = self.moved.entry(object).or_default();
-            let near =
-                |last: &Isometry3<f64>| (last.translation.vector - pose.translation.vector).norm() < MOVED;
+            let near = |last: &Isometry3<f64>| {
+                (last.translation.vector - pose.translation.vector).norm() < MOVED
+                    && last.rotation.angle_to(&pose.rotation) < TURNED
+            };
             if !places.last().is_some_and(|(_, last)| near(last)) && places.len() < MAX_FRAMES {
                 places.push((s.stamp_ns, *pose));
             }

@@ -2,7 +2,7 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `carrying`, `learning_together`, `environment`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod carrying;
@@ -18,6 +18,7 @@ mod log;
 mod paths;
 mod people;
 mod probes;
+mod reaching;
 mod run;
 #[cfg(test)]
 mod tests;
@@ -60,12 +61,19 @@ pub enum Milestone {
     WipingStarted,
     /// The robot's hand may be led.
     GuidingStarted,
+    /// Both hands begin to go to two grasps of one thing.
+    ReachingStarted,
+    /// They are there, as far as the robot knows.
+    GraspsReached,
     /// Both hands press on something.
     LoadTaken,
     /// Both hands begin to carry something.
     CarryingStarted,
     /// They have carried it to where it should be.
-    CarryingEnded,
+    CarryingEnded {
+        /// What they feel that it weighs, N.
+        weight_n: f64,
+    },
     /// They begin to put it down.
     PutDownStarted,
     /// They have put it down and let go.
@@ -101,9 +109,11 @@ impl Milestone {
             }
             "wiping_started" => Self::WipingStarted,
             "guiding_started" => Self::GuidingStarted,
+            "reaching_started" => Self::ReachingStarted,
+            "grasps_reached" => Self::GraspsReached,
             "load_taken" => Self::LoadTaken,
             "carrying_started" => Self::CarryingStarted,
-            "carrying_ended" => Self::CarryingEnded,
+            "carrying_ended" => Self::CarryingEnded { weight_n: number("weight_n") },
             "put_down_started" => Self::PutDownStarted,
             "put_down_ended" => Self::PutDownEnded,
             "epoch_started" => Self::EpochStarted,

@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 use super::run::Run;
 use super::{
     bodies, carrying, coached, environment, force, gestures, grasp, guiding, imitation, learning_together,
-    people, wiped,
+    people, reaching, wiped,
 };
 
 /// A probe.
@@ -26,7 +26,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 12] = [
+const PROBES: [&Probe; 13] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -36,6 +36,7 @@ const PROBES: [&Probe; 12] = [
     &bodies::PROBE,
     &people::PROBE,
     &guiding::PROBE,
+    &reaching::PROBE,
     &carrying::PROBE,
     &learning_together::PROBE,
     &environment::PROBE,

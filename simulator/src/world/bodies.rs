@@ -4,7 +4,7 @@
 //! A body is a set of simple parts in its own frame, whose origin is its middle and whose z points up. The same parts are drawn
 //! and touch. The `objects` of a world are bodies too: soft boxes on the table. This module does not simulate anything.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::path::Path;
 
 use armarium_robot::description::mesh_file;
@@ -23,6 +23,8 @@ const MAX_HANDLES: usize = 16;
 const MAX_BALLS: f64 = 100.0;
 /// Number of flat pieces that make a cup's wall.
 const STAVES: u32 = 12;
+/// How far below a handle's top a hand grips it from above, m.
+const BELOW_TOP: f64 = 0.03;
 /// Diameter and height of a handle, m.
 const HANDLE: [f64; 2] = [0.03, 0.12];
 
@@ -44,7 +46,8 @@ form! {
         /// The file of a mesh (STL, OBJ, DAE), beside this one; it touches as its convex hull.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub mesh: Option<String> = None, Rule { most: 1000, ..Rule::NAME };
-        /// Places of upright handles in the body's frame, m; each is a cylinder, 3 cm thick and 12 cm high.
+        /// Places of upright handles in the body's frame, m; each is a cylinder, 3 cm thick and 12 cm high. Hands grip them softly,
+        /// several at once, and nothing else is held by friction on them.
         pub handles: Vec<[f64; 3]> = Vec::new(), Rule { most: MAX_HANDLES, ..within(2.0) };
         /// Loose balls that lie in a cup or a tray.
         #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,8 +71,14 @@ form! {
         pub at: Place = Place::On([0.25, 0.60]);
         /// Rotation about the vertical, degrees.
         pub yaw_deg: f64 = 0.0, Rule::degrees(361.0, "yaw");
+        /// The body on which it stands, a tray's bottom or another's top; `at: [x, y]` and `yaw_deg` are in that body's frame then.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub on: Option<String> = None, Rule::NAME;
         /// Colour, RGB.
         pub color: [u8; 3] = [120, 140, 170], COLOR;
+        /// Colour of its handles, RGB; without it, that of the rest.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub handle_color: Option<[u8; 3]> = None, COLOR;
     }
 }
 
@@ -345,17 +354,48 @@ impl BodySpec {
             BodyShape::Tray => self.tray(&cuboid),
             BodyShape::Cup => self.cup(&part),
         };
-        let [diameter, height] = HANDLE;
-        let grasped = |at: &[f64; 3]| {
-            part(Geometry::Cylinder { radius: diameter / 2.0, length: height }, Vector3::from(*at))
-        };
-        let ends =
-            [-1.0, 1.0].map(|side| [side * (size.x / 2.0 - diameter), 0.0, size.z / 2.0 + height / 2.0]);
-        match self.shape {
-            BodyShape::Bar if self.handles.is_empty() => parts.extend(ends.iter().map(grasped)),
-            _ => parts.extend(self.handles.iter().map(grasped)),
-        }
+        parts.extend(self.handle_parts());
         parts
+    }
+
+    /// The middles of its handles in its own frame, m.
+    pub fn handle_places(&self) -> Vec<[f64; 3]> {
+        let ([x, _, z], [diameter, height]) = (self.size, HANDLE);
+        match self.shape {
+            BodyShape::Bar if self.handles.is_empty() => {
+                [-1.0, 1.0].map(|side| [side * (x / 2.0 - diameter), 0.0, (z + height) / 2.0]).to_vec()
+            }
+            _ => self.handles.clone(),
+        }
+    }
+
+    /// How its upright handles are gripped: the frames of a hand's grasp in the body's frame, from straight above (x down), with the
+    /// fingers along the body's y.
+    pub fn handle_grasps(&self) -> Vec<Isometry3<f64>> {
+        let [_, height] = HANDLE;
+        let from_above = UnitQuaternion::from_euler_angles(-FRAC_PI_2, FRAC_PI_2, 0.0);
+        let grasp = |[x, y, z]: [f64; 3]| {
+            let at = Vector3::new(x, y, z + height / 2.0 - BELOW_TOP);
+            Isometry3::from_parts(at.into(), from_above)
+        };
+        self.handle_places().into_iter().map(grasp).collect()
+    }
+
+    /// The handles, which are the last of its [`parts`](Self::parts).
+    pub fn handle_parts(&self) -> Vec<Visual> {
+        let [diameter, length] = HANDLE;
+        let handle = |at: [f64; 3]| Visual {
+            shape: Geometry::Cylinder { radius: diameter / 2.0, length },
+            link_from_shape: Isometry3::from_parts(Vector3::from(at).into(), UnitQuaternion::identity()),
+            color: self.handle_color.unwrap_or(self.color),
+        };
+        self.handle_places().into_iter().map(handle).collect()
+    }
+
+    /// The height of what stands on it over its middle, m.
+    pub(crate) fn bears_at(&self) -> f64 {
+        let half = self.half().z;
+        if self.shape == BodyShape::Tray { self.wall - half } else { half }
     }
 
     /// The mesh about its middle.

@@ -52,7 +52,7 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 12] = [
+pub const PROBES: [&str; 13] = [
     "grasp",
     "imitation",
     "force",
@@ -62,6 +62,7 @@ pub const PROBES: [&str; 12] = [
     "bodies",
     "people",
     "guiding",
+    "reaching",
     "carrying",
     "learning_together",
     "environment",
@@ -104,7 +105,7 @@ form! {
         /// People who act: the coach, and others who keep to a schedule.
         pub actors: Vec<ActorSpec> = Vec::new(), Rule::most(MAX_ACTORS);
         /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `bodies`,
-        /// `people`, `guiding`, `carrying`, `learning_together`, `environment`; by default each that finds something.
+        /// `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`; by default each that finds something.
         pub probes: Vec<String> = Vec::new(), Rule { most: MAX_LIST, ..Rule::NAME };
         /// Sensors that are broken.
         pub faults: Faults = Faults::default();
@@ -291,6 +292,16 @@ form! {
         pub wrench: WrenchFault = WrenchFault::None;
         /// From when on, s of the robot's time.
         pub from: f64 = 0.0, Rule::number("s", 0.0, 3600.0);
+        /// For how long, s; without it, to the end.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub duration as "for": Option<f64> = None, Rule::number("s", 0.001, 3600.0);
+    }
+}
+
+impl Faults {
+    /// Whether something is broken at a time, s.
+    pub fn at(&self, t: f64) -> bool {
+        t >= self.from && self.duration.is_none_or(|duration| t < self.from + duration)
     }
 }
 
@@ -560,7 +571,7 @@ impl World {
         }
     }
 
-    /// What is knocked and the probes exist.
+    /// What is knocked, what bodies stand on, and the probes exist.
     fn names_exist(&self, root: &Node, findings: &mut Findings) {
         let names: Vec<&str> = (self.objects.iter().map(|o| o.name.as_str()))
             .chain(self.bodies.iter().map(|b| b.name.as_str()))
@@ -571,6 +582,17 @@ impl World {
                 let message = format!("there is no object `{}`", disturbance.knock);
                 let help = Some(format!("known: {}", names.join(", ")));
                 findings.error_help(code::REFERENCE, place(root, "disturbances", i, "knock"), message, help);
+            }
+        }
+        for (i, body) in self.bodies.iter().enumerate() {
+            let before =
+                || self.objects.iter().map(|o| &o.name).chain(self.bodies[..i].iter().map(|b| &b.name));
+            if let Some(on) = &body.on
+                && !before().any(|name| name == on)
+            {
+                let message = format!("`{}` stands on `{on}`, which is no body before it", body.name);
+                let help = Some(format!("name `{on}` above it in the list"));
+                findings.error_help(code::REFERENCE, place(root, "bodies", i, "on"), message, help);
             }
         }
         for (probe, node) in self.probes.iter().zip(root.get("probes").map_or(&[][..], Node::items)) {

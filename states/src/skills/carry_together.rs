@@ -1,12 +1,12 @@
 //! `CarryTogether`: both hands carry what is between them to another place.
 
-use armarium_motion::{LoadStatus, SharedLoad, StraightLine};
+use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit};
+use armarium_values::{Type, Unit, Value};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, config, moves_both, squeezes};
+use crate::both::{BothArms, config, holding, holds, moves_both, turns_torso};
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 use crate::motions::failed;
@@ -23,41 +23,45 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     )
     .input("by", Type::list(Type::FLOAT), "How far: x, y, z in the root frame, m.")
     .optional("turn", Type::quantity(Unit::RAD), 0.0, "How far it is turned about the vertical.")
+    .optional("torso", Type::Bool, false, "Whether the torso turns with the load, so that it stays before it.")
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.");
-    let manifest = squeezes(manifest)
+    let manifest = holds(manifest)
         .output("force", Type::quantity(Unit::N), "With what the hands press against each other at the end.")
         .output("weight", Type::quantity(Unit::N), "The weight that they carry at the end.")
         .outcome(LOST)
         .mark(Mark::at_start("carrying_started"))
-        .mark(Mark::at_success("carrying_ended"));
-    equipment::skill(equipment, moves_both(manifest, equipment), run)
+        .mark(Mark::at_success("carrying_ended").with_output("weight_n", "weight"));
+    let manifest = turns_torso(moves_both(manifest, equipment), equipment);
+    equipment::skill(equipment, manifest, run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let by = as_vector(context.value("by")?).ok_or_else(|| Failure::new("`by` needs three numbers"))?;
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
-    let mut both = BothArms::take(&equipment, &context, &[by]).await?;
+    let mut both = BothArms::take_to(&equipment, &context, &[by], holding(&context)?).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let hands = both.on_load(&senses.newest())?;
-    let mut law = SharedLoad::new(config(&equipment, &context)?, &hands).map_err(failed)?;
+    if matches!(context.value("torso")?, Value::Bool(true)) {
+        both.turn_torso(&equipment, &context, &senses.newest());
+    }
+    let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
     let from = *law.taken();
     let to = Isometry3::from_parts(Translation3::from(from.translation.vector + by), turn * from.rotation);
     let mut line = StraightLine::new(from, to, context.number("speed")?).map_err(failed)?;
-    let (mut weight, mut rested) = (0.0, 0.0);
+    let (mut weight, mut rested, mut force) = (0.0, 0.0, 0.0);
     loop {
         let (sample, dt) = senses.next().await?;
         let point = line.step(dt).map_err(failed)?;
-        let step = law.step(dt, &both.on_load(&sample)?, &point).map_err(failed)?;
-        if step.status == LoadStatus::Lost {
-            return Ok(Outcome::named(LOST).with("force", step.forces.squeeze).with("weight", 0.0));
-        }
-        both.track(&sample, &step.hands)?;
+        let Some(step) = both.carry((&sample, dt), &mut law, &point)? else {
+            return Ok(Outcome::named(LOST).with("force", force).with("weight", 0.0));
+        };
+        force = step.forces.squeeze;
         if line.rested(0.0) {
             weight += step.forces.external.z * dt;
             rested += dt;
         }
         if rested > RESTS {
-            let outcome = Outcome::success().with("force", step.forces.squeeze);
+            both.arrived()?;
+            let outcome = Outcome::success().with("force", force);
             return Ok(outcome.with("weight", weight / rested));
         }
     }

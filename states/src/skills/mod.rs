@@ -1,6 +1,7 @@
 //! All skills, by name. A new one is a file here and a line in [`skills`].
 
 mod attach_object;
+mod bimanual_servo;
 mod calibrate_hand_eye;
 mod carry_together;
 mod close_hand;
@@ -59,6 +60,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(recall_object::skill(equipment)),
         Arc::new(plan_grasp::skill(equipment)),
         Arc::new(visual_servo::skill(equipment)),
+        Arc::new(bimanual_servo::skill(equipment)),
         Arc::new(tare::skill(equipment)),
         Arc::new(reset_stop::skill(equipment)),
         Arc::new(shape_hand::skill(equipment)),

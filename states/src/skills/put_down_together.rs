@@ -1,12 +1,12 @@
 //! `PutDownTogether`: both hands lower what is between them until something else bears it, and let go.
 
-use armarium_motion::{LinePoint, LoadStatus, SharedLoad, StraightLine};
+use armarium_motion::{Holding, LinePoint, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, at_rest, config, moves_both, squeezes};
+use crate::both::{BothArms, at_rest, config, holding, holds, moves_both};
 use crate::equipment::{self, Equipment};
 use crate::motions::failed;
 
@@ -28,7 +28,8 @@ const APART: f64 = 0.06;
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PutDownTogether",
-        "Lowers what both hands hold between them until something else bears it, and lets go of it.",
+        "Lowers what both hands hold between them until something else bears it, and lets go of it; of what they grip, \
+         opening them does.",
     )
     .optional(
         "expected",
@@ -43,7 +44,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         0.01,
         "Speed at which the load comes down on what bears it.",
     );
-    let manifest = squeezes(manifest)
+    let manifest = holds(manifest)
         .output("depth", Type::quantity(Unit::M), "How far down it was borne.")
         .outcome(LOST)
         .mark(Mark::at_start("put_down_started"))
@@ -53,10 +54,10 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (farthest, speed) = (context.number("farthest")?, context.number("speed")?);
-    let mut both = BothArms::take(&equipment, &context, &[Vector3::z() * -farthest]).await?;
+    let (down, holding) = (Vector3::z() * -farthest, holding(&context)?);
+    let mut both = BothArms::take_to(&equipment, &context, &[down], holding).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let hands = both.on_load(&senses.newest())?;
-    let mut law = SharedLoad::new(config(&equipment, &context)?, &hands).map_err(failed)?;
+    let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
     let above = (context.number("expected")?.min(farthest) - BEFORE).max(0.0);
     let low = moved(law.taken(), &(Vector3::z() * -above));
     let mut line = StraightLine::new(*law.taken(), low, LOWERING).map_err(failed)?;
@@ -71,11 +72,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             depth += speed * dt;
             lowered(&low, depth, speed)
         };
-        let step = law.step(dt, &both.on_load(&sample)?, &goal).map_err(failed)?;
-        if step.status == LoadStatus::Lost {
+        let Some(step) = both.carry((&sample, dt), &mut law, &goal)? else {
             return Ok(Outcome::named(LOST).with("depth", above + depth));
-        }
-        both.track(&sample, &step.hands)?;
+        };
         let carried = step.forces.external.z;
         if weighed < WEIGHING {
             weight += (carried - weight) * dt / (weighed + dt);
@@ -93,6 +92,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             return Err(Failure::new(format!("nothing bears the load within {farthest:.2} m below it")));
         }
     };
+    let borne = Outcome::success().with("depth", above + depth);
+    if holding == Holding::Gripping {
+        return Ok(borne);
+    }
     let line = forces.line.into_inner();
     let stand = both.resting(&senses.newest());
     let mut way = 0.0;
@@ -106,7 +109,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         };
         both.track(&sample, &[apart(stand[0], -1.0), apart(stand[1], 1.0)])?;
     }
-    Ok(Outcome::success().with("depth", above + depth))
+    Ok(borne)
 }
 
 fn moved(pose: &Isometry3<f64>, by: &Vector3<f64>) -> Isometry3<f64> {
