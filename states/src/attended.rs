@@ -13,9 +13,8 @@ use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 use nalgebra::Point3;
 
-use crate::inputs::{as_point, as_pose, entity_of};
+use crate::inputs::{as_point, as_pose, entity_of, pattern_of};
 use crate::motions::{self, failed};
-use crate::observers::memory::pattern;
 use crate::places::Remembered;
 
 /// How fast the place of a thing becomes uncertain that nobody looks at, m/√s: somebody may move it.
@@ -35,7 +34,8 @@ const MOVED: f64 = 0.03;
 const STIMULUS: f64 = 0.7;
 const STIMULUS_WITHIN: f64 = 0.05;
 
-pub(crate) const PEOPLE: [&str; 2] = ["HumanHands", "HumanPoses"];
+/// The core segments of people, and of things.
+const PEOPLE: [&str; 2] = ["HumanHands", "HumanPoses"];
 const THINGS: &str = "ObjectInstances";
 
 /// A place that is to be watched.
@@ -61,8 +61,8 @@ pub(crate) struct AttendedPlace {
 /// Resolves needs, and remembers what moved.
 #[derive(Default)]
 pub(crate) struct AttendedPlaces {
-    /// The middles of motions, by their references.
-    motions: BTreeMap<String, Point3<f64>>,
+    /// The middles of motions.
+    motions: BTreeMap<EntityId, Point3<f64>>,
     /// Where each thing was when it last moved or appeared, and when that was, ns.
     moved: BTreeMap<EntityId, (Point3<f64>, u64)>,
 }
@@ -101,8 +101,9 @@ impl AttendedPlaces {
         let memory = remembered.memory;
         let known = match &need.thing {
             Value::Reference(reference) if reference.kind == "Motion" => {
-                let place = self.middle(memory, &reference.id, &entity_of(reference)?).await?;
-                return Ok(vec![somewhere(entity_of(reference)?.entity().to_owned(), place)]);
+                let id = entity_of(reference)?;
+                let place = self.middle(memory, &id).await?;
+                return Ok(vec![somewhere(id.entity().to_owned(), place)]);
             }
             Value::Reference(reference) => match memory.latest(&entity_of(reference)?).await {
                 Ok(known) => vec![known],
@@ -114,19 +115,14 @@ impl AttendedPlaces {
         Ok(known.iter().filter_map(|thing| seen(remembered, thing, now_ns)).collect())
     }
 
-    async fn middle(
-        &mut self,
-        memory: &dyn Memory,
-        reference: &str,
-        id: &EntityId,
-    ) -> Result<Point3<f64>, Failure> {
-        if let Some(known) = self.motions.get(reference) {
+    async fn middle(&mut self, memory: &dyn Memory, id: &EntityId) -> Result<Point3<f64>, Failure> {
+        if let Some(known) = self.motions.get(id) {
             return Ok(*known);
         }
         let (motion, _) = motions::load(memory, id).await?;
         let centre = motion.primitive().centre();
         let middle = Point3::new(centre[0], centre[1], centre[2]);
-        self.motions.insert(reference.to_owned(), middle);
+        self.motions.insert(id.clone(), middle);
         Ok(middle)
     }
 
@@ -219,7 +215,7 @@ fn seen(remembered: Remembered<'_>, known: &Snapshot, now_ns: u64) -> Option<Att
 async fn named(memory: &dyn Memory, text: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {
     if text.contains('/') {
         let named: MemoryPattern = text.parse().map_err(failed)?;
-        return memory.query(&Query::latest(pattern(&named))).await.map_err(failed);
+        return memory.query(&Query::latest(pattern_of(&named))).await.map_err(failed);
     }
     let things = of_segment(memory, THINGS).await?;
     let of_class = |thing: &&Arc<Snapshot>| thing.attribute("class").and_then(Value::as_str) == Some(text);

@@ -1,6 +1,7 @@
 //! Converts a skill's checked inputs to Rust types, and results back to values.
 
-use armarium_memoryx::EntityId;
+use armarium_memoryx::{EntityId, Pattern};
+use armarium_runtime::observed::MemoryPattern;
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::{Frame, Observation, Pose, Reference, Value};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -9,6 +10,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 pub(crate) trait Inputs {
     /// A pose in the root frame.
     fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure>;
+    /// True or false.
+    fn flag(&self, name: &str) -> Result<bool, Failure>;
     /// The memory address in a reference.
     fn entity(&self, name: &str) -> Result<EntityId, Failure>;
 }
@@ -17,6 +20,10 @@ impl Inputs for SkillContext {
     fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure> {
         let value = self.value(name)?;
         as_pose(value).ok_or_else(|| Failure::input(name, "a pose in the root frame", value))
+    }
+
+    fn flag(&self, name: &str) -> Result<bool, Failure> {
+        Ok(matches!(self.value(name)?, Value::Bool(true)))
     }
 
     fn entity(&self, name: &str) -> Result<EntityId, Failure> {
@@ -48,6 +55,12 @@ pub(crate) fn seen_at(seen: &Observation) -> Option<Point3<f64>> {
 /// The pose in which something was observed, root frame.
 pub(crate) fn seen_pose(seen: &Observation) -> Option<Isometry3<f64>> {
     seen.attributes.get("pose").and_then(as_pose)
+}
+
+/// A pattern of addresses, as memory is asked.
+pub(crate) fn pattern_of(of: &MemoryPattern) -> Pattern {
+    let part = |part: &str| (part != "*").then(|| part.to_owned());
+    Pattern { segment: part(&of.segment), provider: part(&of.provider), entity: part(&of.entity) }
 }
 
 /// Three numbers as a vector.

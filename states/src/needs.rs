@@ -17,6 +17,7 @@ const HAND: &[&str] = &[
     "CloseHand",
     "PlanGrasp",
     "VisualServoTowardsTargetPose",
+    "BimanualVisualServo",
     "VerifyGrasp",
     "AttachObject",
     "CalibrateHandEye",
@@ -34,12 +35,15 @@ const WRENCH: &[&str] = &[
     "LearnTogether",
     "PutDownTogether",
 ];
-const TWO_ARMS: &[&str] = &["SqueezeTogether", "CarryTogether", "LearnTogether", "PutDownTogether"];
-const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose"];
+const TWO_ARMS: &[&str] =
+    &["SqueezeTogether", "BimanualVisualServo", "CarryTogether", "LearnTogether", "PutDownTogether"];
+const PRESS: &[&str] = &["SqueezeTogether", "CarryTogether", "LearnTogether", "PutDownTogether"];
+const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose", "BimanualVisualServo"];
 const CAMERAS: &[&str] = &[
     "LocateObject",
     "CalibrateHandEye",
     "VisualServoTowardsTargetPose",
+    "BimanualVisualServo",
     "VerifyGrasp",
     "MovementImitation",
     "VisionCoaching",
@@ -71,7 +75,7 @@ pub fn lacks(model: &Model) -> Vec<Lack> {
                     lack(format!("no `marker` on `{}`", hand.name), MARKER);
                 }
                 if hand.press_in_tcp.is_none() {
-                    lack(format!("no `press_in_tcp` on `{}`", hand.name), TWO_ARMS);
+                    lack(format!("no `press_in_tcp` on `{}`", hand.name), PRESS);
                 }
             }
         }

@@ -28,6 +28,17 @@ pub struct StereoCalibration {
 }
 
 impl PinholeCamera {
+    /// Half the angles that its pictures hold across and up, rad.
+    pub fn half_angles(&self) -> [f64; 2] {
+        [self.width, self.height].map(|side| (0.5 * f64::from(side) / self.focal).atan())
+    }
+
+    /// Half the angle of the cone about the optical axis that its pictures hold whole, rad.
+    pub fn cone(&self) -> f64 {
+        let [across, up] = self.half_angles();
+        across.min(up)
+    }
+
     /// Projects a point (camera frame, m) to px; `None` for a point behind the camera or in its plane.
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
         (point.z > 1e-6).then(|| {

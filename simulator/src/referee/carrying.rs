@@ -156,7 +156,7 @@ fn measure(run: &Run<'_>) -> Option<Value> {
 
 /// What stands on the load: the first body that the world puts there.
 struct Upon {
-    /// Its index and its place on the load, load's frame.
+    /// Its index.
     body: usize,
     /// Its mass with what is in it, kg.
     mass: f64,

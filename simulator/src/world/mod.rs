@@ -8,6 +8,7 @@
 mod agents;
 mod bodies;
 mod coach;
+mod faults;
 mod mirror;
 mod person;
 mod physics;
@@ -21,9 +22,8 @@ use std::sync::Arc;
 use armarium_robot::description::{self, default_robot, shipped_robots};
 use armarium_robot::{Limb, Model};
 use armarium_source::yaml::Node;
-use armarium_source::{Finding, Findings, Rule, Source, Span, choice, code, form};
+use armarium_source::{Finding, Findings, Rule, Source, Span, code, form};
 use nalgebra::{Isometry3, Vector3};
-use serde::Serialize;
 use serde_json::Value as Json;
 
 use crate::error::SimulationError;
@@ -35,7 +35,7 @@ pub use coach::{
     CoachSpec, CoachingAction, CoachingStep, DemonstrationSpec, Palm, PathShape, Push, Show, SwipeSpec,
     Timing, ToolSpec,
 };
-
+pub use faults::{Disturbance, Faults, ImageFault, WorldEvent, WrenchFault};
 pub use person::{ActorSpec, PersonAction, PersonSpec, Side};
 pub use physics::{DepthSpec, Imperfections, Physics};
 
@@ -282,90 +282,6 @@ form! {
         pub color: [u8; 3] = [240, 210, 40], COLOR;
     }
 }
-
-form! {
-    /// Sensors that are broken from a time on.
-    pub struct Faults: "`faults`" {
-        /// What is wrong with the images.
-        pub images: ImageFault = ImageFault::None;
-        /// What is wrong with the wrist sensor.
-        pub wrench: WrenchFault = WrenchFault::None;
-        /// From when on, s of the robot's time.
-        pub from: f64 = 0.0, Rule::number("s", 0.0, 3600.0);
-        /// For how long, s; without it, to the end.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        pub duration as "for": Option<f64> = None, Rule::number("s", 0.001, 3600.0);
-    }
-}
-
-impl Faults {
-    /// Whether something is broken at a time, s.
-    pub fn at(&self, t: f64) -> bool {
-        t >= self.from && self.duration.is_none_or(|duration| t < self.from + duration)
-    }
-}
-
-/// What is wrong with the images.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ImageFault {
-    /// Nothing.
-    #[default]
-    None,
-    /// The lenses are covered: every pixel is 0.
-    Black,
-    /// Left and right are exchanged.
-    Swapped,
-    /// The last image before the fault is repeated.
-    Frozen,
-}
-choice!(ImageFault {
-    "none" => Self::None, "black" => Self::Black, "swapped" => Self::Swapped, "frozen" => Self::Frozen,
-});
-
-/// What is wrong with the wrist sensor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum WrenchFault {
-    /// Nothing.
-    #[default]
-    None,
-    /// The last sample before the fault is repeated.
-    Frozen,
-}
-choice!(WrenchFault { "none" => Self::None, "frozen" => Self::Frozen });
-
-form! {
-    /// An accident: a force on an object or on the robot's hand.
-    pub struct Disturbance: "a disturbance" {
-        /// What the time counts from.
-        pub after: WorldEvent = WorldEvent::Wiping;
-        /// When, s after that.
-        pub at: f64 = 1.0, Rule::number("s", 0.0, 3600.0);
-        /// Name of an object, or `hand`.
-        pub knock: String = "sponge".into(), Rule::NAME;
-        /// Force at its centre, N.
-        pub force: [f64; 3] = [90.0, 0.0, 0.0], Rule::number("N", -1000.0, 1000.0);
-        /// How long, s; the force rises and falls as half a sine.
-        pub duration as "for": f64 = 0.1, Rule::number("s", 0.001, 3600.0);
-        /// Whether the force is the same all the time instead.
-        pub steady: bool = false;
-    }
-}
-
-/// What a disturbance's time counts from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum WorldEvent {
-    /// The moment when an object is held for the first time.
-    Grasp,
-    /// The moment when the robot says that it is wiping.
-    #[default]
-    Wiping,
-    /// The start of the run.
-    Start,
-}
-choice!(WorldEvent { "grasp" => Self::Grasp, "wiping" => Self::Wiping, "start" => Self::Start });
 
 /// Names of agents are parts of network keys.
 fn check_agent_name(name: &str, node: &Node, findings: &mut Findings) {

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use armarium_memoryx::{Changes, Clock, EntityId, Memory, MemoryError, Pattern, Query, Snapshot, pages};
 use armarium_runtime::channels::{Channels, ObserveError, ObserveMemory};
-use armarium_runtime::observed::{MAX_MATCHES, MemoryPattern, ObservedPattern, match_of};
+use armarium_runtime::observed::{MAX_MATCHES, ObservedPattern, match_of};
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, FrameChange, Value};
 use futures::FutureExt as _;
@@ -21,6 +21,7 @@ use tokio::task::JoinSet;
 
 use super::surroundings::{AGENTS, stand};
 use crate::equipment::Equipment;
+use crate::inputs::pattern_of;
 
 /// Snapshots per query.
 const PAGE_SIZE: usize = 1024;
@@ -89,7 +90,7 @@ struct Matches {
 
 impl Matches {
     fn of(observed: ObservedPattern, own: &OwnMemory) -> Self {
-        let pattern = pattern(&observed.pattern);
+        let pattern = pattern_of(&observed.pattern);
         Self { observed, pattern, own: own.clone(), held: BTreeMap::new(), left_out: false }
     }
 
@@ -202,11 +203,6 @@ impl Matches {
             Err(_) => value.clone(),
         }
     }
-}
-
-pub(crate) fn pattern(of: &MemoryPattern) -> Pattern {
-    let part = |part: &str| (part != "*").then(|| part.to_owned());
-    Pattern { segment: part(&of.segment), provider: part(&of.provider), entity: part(&of.entity) }
 }
 
 /// The order of matches: the highest confidence first, of equals what was referenced last.

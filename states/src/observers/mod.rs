@@ -7,7 +7,7 @@
 mod arrival;
 mod carried;
 mod hand;
-pub(crate) mod memory;
+mod memory;
 mod surroundings;
 mod wrist;
 

@@ -9,7 +9,7 @@ use armarium_motion::{
 };
 use armarium_robot::{LinkId, Sensed};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
@@ -79,7 +79,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let looks = matches!(context.value("look")?, Value::Bool(true));
+    let looks = context.flag("look")?;
     let mut seen = Seen::new(&equipment, &context, looks).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let over = context.number("over")?;
@@ -364,8 +364,7 @@ impl Seen {
         let Some(eye) = model.camera().map(|camera| self.link(sample, camera.left).translation.vector) else {
             return middle.into();
         };
-        let camera = self.equipment.images.calibration().camera;
-        let wide = (0.5 * f64::from(camera.width) / camera.focal).atan();
+        let [wide, _] = self.equipment.images.calibration().camera.half_angles();
         if hands.iter().all(|hand| (hand - eye).angle(&(middle - eye)) < wide - BORDER) {
             self.turned_to = None;
             return middle.into();

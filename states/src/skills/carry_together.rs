@@ -2,13 +2,13 @@
 
 use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
 use crate::both::{BothArms, config, holding, holds, moves_both, turns_torso};
 use crate::equipment::{self, Equipment};
-use crate::inputs::as_vector;
+use crate::inputs::{Inputs, as_vector};
 use crate::motions::failed;
 
 /// The outcome besides `success`.
@@ -40,7 +40,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
     let mut both = BothArms::take_to(&equipment, &context, &[by], holding(&context)?).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    if matches!(context.value("torso")?, Value::Bool(true)) {
+    if context.flag("torso")? {
         both.turn_torso(&equipment, &context, &senses.newest());
     }
     let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;

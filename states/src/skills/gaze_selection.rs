@@ -109,8 +109,7 @@ struct Gaze {
 
 impl Gaze {
     fn new(equipment: &Equipment) -> Result<Self, Failure> {
-        let camera = equipment.images.calibration().camera;
-        let cone = (0.5 * f64::from(camera.width.min(camera.height)) / camera.focal).atan();
+        let cone = equipment.images.calibration().camera.cone();
         let selection = GazeSelection::new(GazeConfig { cone, ..GazeConfig::default() }).map_err(failed)?;
         Ok(Self { selection, middle: None, looked_at: None, in_vain: BTreeMap::new(), cone })
     }

@@ -18,6 +18,7 @@ use crate::arm::Senses;
 use crate::both::{BothArms, config, moves_both, squeezes};
 use crate::equipment::{self, Equipment};
 use crate::hand_motion::{HandMotion, Space};
+use crate::inputs::Inputs;
 use crate::motions::{self, LearnedTogether, failed};
 
 /// The outcome besides `success`.
@@ -124,7 +125,7 @@ impl Task {
                 .ok_or_else(|| Failure::input(name, "from 1 to 100", value))
         };
         let space = if context.text("space")? == JOINT { Space::Joint } else { Space::Task };
-        let k2 = if matches!(context.value("velocity")?, Value::Bool(true)) { 1.0 } else { 0.0 };
+        let k2 = if context.flag("velocity")? { 1.0 } else { 0.0 };
         let (omega, duration) = (TAU / context.number("period")?, context.number("duration")?);
         let path = |lift: &str, amplitude: &str, phase: f64| -> Result<LiftAndShake, Failure> {
             let (lift, amplitude) = (context.number(lift)?, context.number(amplitude)?);

@@ -81,8 +81,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 fn in_view(equipment: &Equipment, head: &mut Head, point: &Point3<f64>) -> SkillResult {
     let sample = equipment.robot.sensed().borrow();
     let angle = head.look(&sample, 0.0, point, 0.0)?;
-    let camera = equipment.images.calibration().camera;
-    let cone = (0.5 * f64::from(camera.width.min(camera.height)) / camera.focal).atan();
+    let cone = equipment.images.calibration().camera.cone();
     if angle < cone {
         return Ok(Outcome::success());
     }

@@ -449,6 +449,7 @@ impl Recorder {
     /// # Errors
     /// [`RecorderError::Encode`] when JPEG cannot hold the image.
     pub fn image(&mut self, topic: &str, t_ns: u64, image: &RgbImage) -> Result<(), RecorderError> {
+        self.tick(t_ns);
         if self.wants_image(topic, t_ns) {
             let file = jpeg(image, self.options.jpeg_quality)
                 .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
