@@ -189,7 +189,8 @@ impl Looking {
                 *ago = 0.0;
                 continue;
             }
-            let known = object_class(&*equipment.memory, class).await?;
+            // What prior knowledge does not describe is looked at, and nothing here can find it.
+            let Ok(known) = object_class(&*equipment.memory, class).await else { continue };
             let calibration = equipment.images.calibration();
             let localizer = ObjectLocalizer::new(calibration, known.size, known.color);
             let step = ObjectStep::new(localizer, class).with_table(calibration.camera);
