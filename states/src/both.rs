@@ -69,7 +69,7 @@ pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
 /// Adds the inputs that say how a load is held, by pressing or by grips.
 pub(crate) fn holds(manifest: SkillManifest) -> SkillManifest {
     let what = "How the hands hold it: `press` from two sides, or `grip`, each a handle, without a squeeze.";
-    squeezes(manifest).optional(HOLD, Type::String, "press", what)
+    squeezes(manifest).optional(HOLD, Type::one_of(["press", "grip"]), "press", what)
 }
 
 /// How the hands hold the load.
