@@ -41,6 +41,8 @@ pub const OBJECT_INSTANCES: &str = "ObjectInstances";
 const MAX_TRIES: u32 = 8;
 /// How far a hand moves a thing that it hides, m.
 const IN_REACH: f64 = 0.5;
+/// A thing whose place is just out of view and that is seen so near to it, m, has moved; it is no second one.
+const BESIDE: f64 = 0.15;
 
 /// Settings of the updater.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +50,9 @@ pub struct Settings {
     /// Gate: the largest squared Mahalanobis distance of an observation from its entity. 11.34 accepts 99 % of the
     /// true pairs (chi-squared with 3 degrees of freedom).
     pub gate: f64,
+    /// Variance along each axis by which all that is seen from one place may be off from what is seen from another, m²: where the camera is
+    /// is known no better. It tells what belongs together; it is not noise that a mean of many looks reduces.
+    pub placement: f64,
     /// Growth of the position's variance of an object at rest, m²/s along each axis.
     pub drift: f64,
     /// The same for a carried object, because grasps slip.
@@ -60,7 +65,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { gate: 11.34, drift: 1e-6, carried_drift: 1e-5, detection: 0.7, gone: 0.05 }
+        Self { gate: 11.34, placement: 6.4e-5, drift: 1e-6, carried_drift: 1e-5, detection: 0.7, gone: 0.05 }
     }
 }
 
@@ -246,7 +251,7 @@ impl Updater {
     }
 
     /// A thing that is not where it should have been seen, while another place has one that nobody knew, has moved there. So has one
-    /// whose place is hidden, if it is near: what hides it is most likely the hand that moves it.
+    /// whose place is hidden, if it is near: what hides it is most likely the hand that moves it; and one whose place is just out of view.
     fn find_moved<'h>(
         &self,
         search: &Search,
@@ -262,7 +267,7 @@ impl Updater {
         let may_be = |(was, shown): &(Vector3<f64>, Shown), is: &Vector3<f64>| match shown {
             Shown::Open => true,
             Shown::Hidden => (was - is).norm() < IN_REACH,
-            Shown::Outside => false,
+            Shown::Outside => (was - is).norm() < BESIDE,
         };
         for matched in matches.iter_mut().filter(|matched| matched.entity.is_none()) {
             let Some((frame, place)) = self.measured(&observations[matched.observation])? else { continue };
@@ -351,6 +356,7 @@ impl Updater {
                 let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &self.settings);
                 let cost = match (&prior, &measured) {
                     (Some((known, prior)), Some((frame, measured))) if known == frame => prior
+                        .spread(self.settings.placement)
                         .distance_squared(measured)
                         .map_or(f64::INFINITY, |d| if last_counts { d.min(unplaced) } else { d }),
                     (Some(_), Some(_)) if !last_counts => f64::INFINITY,
