@@ -7,7 +7,7 @@
 use armarium_motion::{
     Holding, PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus, in_step, rise,
 };
-use armarium_robot::Sensed;
+use armarium_robot::{Sensed, Twist};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::Vector3;
@@ -75,7 +75,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let Some(twists) = reach.step(&sample, dt, &seen)? else {
             return Ok(Outcome::success().with("seen_error", reach.farthest));
         };
-        for (i, (linear, angular)) in twists.into_iter().enumerate() {
+        for (i, Twist { linear, angular }) in twists.into_iter().enumerate() {
             let arm = both.arm(i);
             let force = arm.force(&sample).map_or(0.0, |force| force.norm());
             if force > STOPPING_FORCE {
@@ -123,12 +123,7 @@ impl Reach {
     }
 
     /// The velocities of both hands, root frame, m/s and rad/s; `None` when both are there.
-    fn step(
-        &mut self,
-        sample: &Sensed,
-        dt: f64,
-        seen: &BothSeen,
-    ) -> Result<Option<[(Vector3<f64>, Vector3<f64>); 2]>, Failure> {
+    fn step(&mut self, sample: &Sensed, dt: f64, seen: &BothSeen) -> Result<Option<[Twist; 2]>, Failure> {
         let [height, speed] = self.height();
         let (mut oldest, mut approach) = (0.0_f64, [Vector3::zeros(); 2]);
         let mut command = |i: usize| -> Result<ServoCommand, Failure> {
@@ -180,7 +175,7 @@ impl Reach {
         };
         let twist = |i: usize| {
             let descends = approach[i] * (speed * moving);
-            (commands[i].linear + descends, commands[i].angular)
+            Twist { linear: commands[i].linear + descends, angular: commands[i].angular }
         };
         Ok(Some([twist(0), twist(1)]))
     }
