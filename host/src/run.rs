@@ -23,7 +23,7 @@ use tokio::task::JoinHandle;
 
 use crate::cameras;
 use crate::charts::{executor, load};
-use crate::console::Console;
+use crate::console::{Console, WorldClock};
 use crate::driven::{self, Outside, RobotAt};
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
@@ -348,7 +348,7 @@ impl Stage {
             referee: self.robot.referee.clone(),
             clock: self.robot.handle.clone(),
             console: Arc::clone(console),
-            marks: run_log::marks(registry),
+            judged: run_log::judged(registry),
             robot: None,
             gate: self.live.as_ref().map(|live| live.gate.clone()),
         }
@@ -411,17 +411,19 @@ impl Stage {
         began: Instant,
     ) -> Vec<JoinHandle<()>> {
         let (equipment, handle) = (&self.robot.equipment, self.robot.handle.clone());
+        let clock: WorldClock = Arc::new(move || handle.now_ns());
         vec![
             record_robot(&equipment.robot, side_tasks::sensor_of(equipment), self.recorder.clone()),
             tokio::spawn(side_tasks::watch_perception(
                 Arc::clone(self.memory.memory()),
                 self.robot.referee.clone(),
                 self.recorder.clone(),
+                Arc::clone(&clock),
             )),
             tokio::spawn(side_tasks::record_memory(
                 Arc::clone(self.memory.memory()),
                 self.recorder.clone(),
-                Arc::new(move || handle.now_ns()),
+                clock,
             )),
             tokio::spawn(side_tasks::log_joints(equipment.clone(), Arc::clone(joints))),
             tokio::spawn(side_tasks::show_progress(

@@ -4,6 +4,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use armarium_memoryx::EntityId;
+use armarium_runtime::attention::{Attended, Attends};
 use armarium_runtime::chart::Registry;
 use armarium_runtime::exec::TraceSink;
 use armarium_runtime::skill::{Mark, MarkTime};
@@ -65,18 +67,40 @@ pub(crate) struct RunLogger {
     pub(crate) referee: Referee,
     pub(crate) clock: Handle,
     pub(crate) console: Arc<dyn Console>,
-    /// The marks of each skill.
-    pub(crate) marks: Arc<BTreeMap<String, Vec<Mark>>>,
+    /// What the referee is told of each skill.
+    pub(crate) judged: Arc<BTreeMap<String, Judged>>,
     /// The robot whose chart it is; `None` for the first.
     pub(crate) robot: Option<String>,
     /// Holds up the run where a page wants it.
     pub(crate) gate: Option<Gate>,
 }
 
-/// The marks that skills declare.
-pub(crate) fn marks(registry: &Registry) -> Arc<BTreeMap<String, Vec<Mark>>> {
-    let declared = registry.manifests().filter(|manifest| !manifest.marks.is_empty());
-    Arc::new(declared.map(|manifest| (manifest.name.clone(), manifest.marks.clone())).collect())
+/// What a skill declares that the referee is told when it runs.
+#[derive(Debug)]
+pub(crate) struct Judged {
+    marks: Vec<Mark>,
+    /// The inputs that name things of which it needs to know the place.
+    attends: Vec<String>,
+}
+
+/// What the referee is told of each skill.
+pub(crate) fn judged(registry: &Registry) -> Arc<BTreeMap<String, Judged>> {
+    let attended = |attends: &Attends| match &attends.what {
+        Attended::Input(input) => Some(input.clone()),
+        Attended::Pattern(_) => None,
+    };
+    let judged = registry.manifests().map(|manifest| {
+        let attends = manifest.attends.iter().filter_map(attended).collect();
+        (manifest.name.clone(), Judged { marks: manifest.marks.clone(), attends })
+    });
+    Arc::new(judged.filter(|(_, judged)| !judged.marks.is_empty() || !judged.attends.is_empty()).collect())
+}
+
+/// The name of the thing in memory that a value names.
+fn thing(value: &Value) -> Option<String> {
+    let Value::Reference(reference) = value else { return None };
+    let id: EntityId = reference.id.parse().ok()?;
+    (reference.kind == "Object").then(|| id.entity().to_owned())
 }
 
 impl TraceSink for RunLogger {
@@ -106,7 +130,7 @@ impl RunLogger {
     /// The same for the chart of another robot, in a log of its own. The referee judges only the first robot.
     pub(crate) fn of_other(&self, robot: &str, log: &Arc<Mutex<RunLog>>) -> Self {
         let (log, robot) = (Arc::clone(log), Some(robot.to_owned()));
-        Self { log, robot, marks: Arc::default(), gate: None, ..self.clone() }
+        Self { log, robot, judged: Arc::default(), gate: None, ..self.clone() }
     }
 
     /// The name of a state, with the robot's where it is not the first.
@@ -129,6 +153,10 @@ impl RunLogger {
             TraceItem::SkillStarted { activation, skill, inputs, state } => {
                 self.say(log, t_s, state, &format!("{skill} begins"));
                 let running = Running { skill: skill.clone(), inputs: inputs.clone() };
+                let attends = self.judged.get(skill).map_or(&[][..], |judged| &judged.attends);
+                for thing in attends.iter().filter_map(|input| thing(inputs.get(input)?)) {
+                    self.referee.needs(t_ns, *activation, &thing);
+                }
                 self.mark(&running, &MarkTime::Start, &BTreeMap::new(), t_ns);
                 log.running.insert(*activation, running);
             }
@@ -137,6 +165,7 @@ impl RunLogger {
                     span.outcome = Some(outcome.clone());
                 }
                 let Some(running) = log.running.remove(activation) else { return };
+                self.referee.needs_no_more(t_ns, *activation);
                 let why = reason.as_ref().filter(|_| outcome == "failure");
                 let why = why.map_or(String::new(), |reason| format!(": {reason}"));
                 self.say(log, t_s, state, &format!("{} ends with {outcome}{why}", running.skill));
@@ -192,8 +221,8 @@ impl RunLogger {
 
     /// Passes a skill's marks at this point of its activation to the referee and the recording.
     fn mark(&self, running: &Running, at: &MarkTime, outputs: &BTreeMap<String, Value>, t_ns: u64) {
-        let Some(marks) = self.marks.get(&running.skill) else { return };
-        for mark in marks.iter().filter(|mark| mark.at == *at) {
+        let Some(judged) = self.judged.get(&running.skill) else { return };
+        for mark in judged.marks.iter().filter(|mark| mark.at == *at) {
             let numbers = mark.numbers_of(&running.inputs, outputs);
             if let Some(known) = armarium_simulator::Milestone::named(&mark.name, &numbers) {
                 self.referee.mark(known, t_ns);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::{Memory as _, Pattern, Query, Snapshot, WorkingMemory};
 use armarium_runtime::exec::Controller;
-use armarium_simulator::{Handle, KnownSurface};
+use armarium_simulator::{Handle, KnownSurface, KnownThing};
 use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
@@ -21,11 +21,13 @@ use crate::report::JointLog;
 use crate::run_log::RunLog;
 use crate::signals::signalled;
 
-/// Passes the gesture that vision recognises in each frame to the referee, and records it; and what memory tells of surfaces.
+/// Passes the gesture that vision recognises in each frame to the referee, and records it; and what memory tells of surfaces and things,
+/// with the time by `clock`.
 pub(crate) async fn watch_perception(
     memory: Arc<WorkingMemory>,
     referee: armarium_simulator::Referee,
     recorder: SharedRecorder,
+    clock: WorldClock,
 ) {
     let mut changes = memory.changes(&Pattern::any());
     loop {
@@ -41,10 +43,22 @@ pub(crate) async fn watch_perception(
             Ok(snapshot) if snapshot.id.segment() == "EnvironmentModels" => {
                 referee.surface_known(snapshot.referenced_ns, snapshot.id.entity(), surface(&snapshot));
             }
+            Ok(snapshot) if snapshot.id.segment() == "ObjectInstances" => {
+                if let Some(known) = thing(&snapshot) {
+                    referee.thing_known(clock(), snapshot.id.entity(), known);
+                }
+            }
             Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(_) => return,
         }
     }
+}
+
+/// A thing, as memory knows it; `None` of what is gone.
+fn thing(snapshot: &Snapshot) -> Option<KnownThing> {
+    let class = snapshot.attribute("class")?.as_str()?.to_owned();
+    let Some(Value::Pose(pose)) = snapshot.attribute("pose") else { return None };
+    Some(KnownThing { class, place: pose.isometry().translation.vector, seen_ns: snapshot.referenced_ns })
 }
 
 /// A surface of the model of the surroundings, as memory knows it; `None` of what is gone, is no surface, or was seen in a single look.

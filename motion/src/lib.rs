@@ -68,7 +68,7 @@ pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,
 };
 pub use friction::{FrictionConfig, FrictionModel};
-pub use gaze::{GazeConfig, GazeSelection, GazeTarget, GazeView, saliency};
+pub use gaze::{GazeConfig, GazeSelection, GazeStrategy, GazeTarget, GazeView, saliency};
 pub use ilc::{FeedbackError, LearningControl, LearningControlConfig};
 pub use imitation::Imitation;
 pub use lift_and_shake::{LiftAndShake, rise};

@@ -9,6 +9,7 @@
 //!
 //! This room does not know skills, charts or memory.
 
+mod accidents;
 pub mod cameras;
 pub mod carrying;
 pub mod coach;
@@ -28,7 +29,7 @@ pub mod truth;
 pub mod world;
 
 pub use error::{PlantError, SimulationError};
-pub use referee::{KnownSurface, Milestone, Referee};
+pub use referee::{KnownSurface, KnownThing, Milestone, Referee};
 pub use simulation::{Handle, Options, RobotInWorld, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
 pub use world::World;

@@ -14,6 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::accidents::Accidents;
 use crate::cameras::{
     AgentEyes, Drawing, Eyes, Moment, RobotState, SceneShapes, SceneState, Scenery, ScenerySink,
     SimulatedCameras,
@@ -28,7 +29,7 @@ use crate::start;
 use crate::table::DirtGrid;
 use crate::table::WIPE_EVERY;
 use crate::truth::{TruthEvent, TruthSample, TruthSink};
-use crate::world::{Disturbance, World, WorldEvent};
+use crate::world::{World, WorldEvent};
 
 /// One step, ns.
 const STEP_NS: u64 = 1_000_000;
@@ -133,7 +134,7 @@ pub struct Simulation {
     scenery: Option<Box<dyn ScenerySink>>,
     world: (String, u64),
     handle: Handle,
-    disturbances: Vec<Disturbance>,
+    accidents: Accidents,
     object_names: Vec<String>,
     /// The object in question, see [`TruthSample::object`].
     object: Option<usize>,
@@ -213,7 +214,7 @@ impl Simulation {
             scenery: options.scenery,
             world: (world.name.clone(), seed),
             handle: Handle::default(),
-            disturbances: world.disturbances.clone(),
+            accidents: Accidents::new(&world.disturbances, &object_names),
             object: world.first_object(),
             object_names,
             grasped_at: None,
@@ -378,24 +379,13 @@ impl Simulation {
         self.truth.coach = state;
         self.external.hand = state.push;
         self.external.objects.fill(Vector3::zeros());
-        for d in &self.disturbances {
-            let since = match d.after {
-                WorldEvent::Grasp => self.grasped_at,
-                WorldEvent::Wiping => self.wiping_at,
-                WorldEvent::Start => Some(0.0),
-            };
-            let Some(age) = since.map(|s| t - s - d.at) else { continue };
-            if !(0.0..d.duration).contains(&age) {
-                continue;
-            }
-            let rise = if d.steady { 1.0 } else { (std::f64::consts::PI * age / d.duration).sin() };
-            let force = Vector3::from(d.force) * rise;
-            if d.knock == "hand" {
-                self.external.hand += force;
-            } else if let Some(i) = self.object_names.iter().position(|n| *n == d.knock) {
-                self.external.objects[i] += force;
-            }
-        }
+        let (grasped, wiping) = (self.grasped_at, self.wiping_at);
+        let begun = |event: WorldEvent| match event {
+            WorldEvent::Grasp => grasped,
+            WorldEvent::Wiping => wiping,
+            WorldEvent::Start => Some(0.0),
+        };
+        self.accidents.add(t, begun, plant, &mut self.external);
     }
 
     /// Collects the true state and passes it to the truth sinks.

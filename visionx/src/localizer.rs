@@ -90,6 +90,11 @@ impl ObjectLocalizer {
         Self { calibration, size, color, surface }
     }
 
+    /// Half the longest edge of the boxes, m.
+    pub(crate) fn reach(&self) -> f64 {
+        self.size.max() / 2.0
+    }
+
     /// The height of the boxes, m.
     pub(crate) fn height(&self) -> f64 {
         self.size.z

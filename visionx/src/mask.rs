@@ -83,8 +83,10 @@ impl Region {
 
 /// The neighbours in its row and column of the pixel with the index `i`, in an image of this width and height.
 pub(crate) fn beside(i: usize, [w, h]: [usize; 2]) -> impl Iterator<Item = usize> {
-    let left = (!i.is_multiple_of(w)).then(|| i - 1);
-    let right = (i % w + 1 < w).then_some(i + 1);
+    // A division of 32 bits takes a fraction of the time of a wider one.
+    let column = (i as u32 % w as u32) as usize;
+    let left = (column > 0).then(|| i - 1);
+    let right = (column + 1 < w).then_some(i + 1);
     [left, right, i.checked_sub(w), (i + w < w * h).then_some(i + w)].into_iter().flatten()
 }
 

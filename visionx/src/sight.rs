@@ -45,7 +45,7 @@ impl Sight {
     /// Starts a processor of these images; frames are made while it works.
     pub fn start(images: &Arc<dyn ImageSource>, step: impl StereoStep + 'static, workers: Workers) -> Self {
         let (sender, newest) = watch::channel(None);
-        let (images, camera) = (Arc::clone(images), images.calibration().camera);
+        let (images, calibration) = (Arc::clone(images), images.calibration());
         let task = tokio::spawn(async move {
             let mut step = step;
             loop {
@@ -70,7 +70,7 @@ impl Sight {
                             stamp_ns,
                             root_from_left,
                             observations,
-                            search: search_of(step, &frame, camera),
+                            search: search_of(step, &frame, &calibration),
                         }
                     })
                     .await;

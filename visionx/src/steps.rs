@@ -8,7 +8,7 @@ use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Shown, Va
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
-use crate::camera::PinholeCamera;
+use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::environment::{EnvironmentModel, SurfaceEstimate};
 use crate::frame::{ImageError, RgbImage, StereoFrame};
 use crate::localizer::{ObjectEstimate, ObjectLocalizer};
@@ -49,6 +49,10 @@ pub trait StereoStep: Send {
     fn looks_for(&self) -> Vec<(String, String)> {
         Vec::new()
     }
+    /// Half the largest edge of what it looks for, m; 0 where that is not known.
+    fn reach(&self) -> f64 {
+        0.0
+    }
     /// Processes a frame. Places are in the frame `camera` of the left camera, or in `root` as the frame's `root_from_left` says.
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation>;
     /// Draws what it saw in the last frame into its left image.
@@ -67,6 +71,10 @@ impl StereoStep for Vec<Box<dyn StereoStep>> {
 
     fn looks_for(&self) -> Vec<(String, String)> {
         self.iter().flat_map(|step| step.looks_for()).collect()
+    }
+
+    fn reach(&self) -> f64 {
+        self.iter().map(|step| step.reach()).fold(0.0, f64::max)
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
@@ -100,28 +108,41 @@ const BORDER: f64 = 20.0;
 /// What is measured nearer than a place by more than this, m, is before it.
 const BEFORE: f64 = 0.05;
 
-/// That a step has looked at a frame of this camera, in the root frame; `None` where it looks for nothing.
+/// That a step has looked at a frame of these cameras, in the root frame; `None` where it looks for nothing.
+///
+/// A place is open where a whole thing would be in both pictures with nothing before its middle or its sides, as far as depth tells.
 pub(crate) fn search_of(
     step: &dyn StereoStep,
     frame: &Arc<StereoFrame>,
-    camera: PinholeCamera,
+    calibration: &StereoCalibration,
 ) -> Option<Search> {
-    let classes = step.looks_for();
+    let (classes, reach) = (step.looks_for(), step.reach());
     if classes.is_empty() {
         return None;
     }
-    let shown = Arc::clone(frame);
+    let (shown, StereoCalibration { camera, baseline }) = (Arc::clone(frame), *calibration);
     let view = move |place: &Point3<f64>| {
         let in_left = shown.root_from_left.inverse() * place;
         let Some(px) = camera.project(&in_left).filter(|_| in_left.z > 0.0) else { return Shown::Outside };
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-        if px.x < BORDER || px.y < BORDER || px.x > width - BORDER || px.y > height - BORDER {
+        let (half, between) = (camera.focal * reach / in_left.z, camera.focal * baseline / in_left.z);
+        let border = BORDER.max(half);
+        let (left, right) = (border + between, width - border);
+        if px.x < left || px.x > right || px.y < border || px.y > height - border {
             return Shown::Outside;
         }
-        let measured = shown.depth.as_ref().map(|depth| depth.at(px.x as u32, px.y as u32));
-        match measured.is_none_or(|depth| f64::from(depth) > in_left.z - BEFORE) {
-            true => Shown::Open,
-            false => Shown::Hidden,
+        let nearer = |x: f64, y: f64, unmeasured: bool| match shown.depth.as_ref() {
+            Some(depth) => match depth.at((px.x + x) as u32, (px.y + y) as u32) {
+                0.0 => unmeasured,
+                depth => f64::from(depth) < in_left.z - BEFORE,
+            },
+            None => false,
+        };
+        // Along its edges depth is often not measured, which says nothing.
+        let beside = [(half, 0.0), (-half, 0.0), (0.0, half), (0.0, -half)];
+        match nearer(0.0, 0.0, true) || beside.iter().any(|&(x, y)| nearer(x, y, false)) {
+            true => Shown::Hidden,
+            false => Shown::Open,
         }
     };
     Some(Search::new(frame.stamp_ns, classes, &Frame::root(), view))
@@ -159,7 +180,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         };
         let pair = Arc::new(self.pair.frame(frame)?);
         let observations = observations_of(&mut self.step, &pair, &frame_of_root);
-        let search = search_of(&self.step, &pair, self.pair.calibration().camera);
+        let search = search_of(&self.step, &pair, &self.pair.calibration());
         Ok(Seen { observations, search: search.filter(|_| frame.root_from_camera.is_some()) })
     }
 
@@ -348,6 +369,10 @@ impl StereoStep for ObjectStep {
 
     fn looks_for(&self) -> Vec<(String, String)> {
         vec![(OBJECTS.into(), self.class.clone())]
+    }
+
+    fn reach(&self) -> f64 {
+        self.localizer.reach()
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {

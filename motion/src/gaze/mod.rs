@@ -13,9 +13,11 @@ use crate::error::MotionError;
 constants! {
     /// The constants of a [`GazeSelection`].
     pub struct GazeConfig {
-        /// Half the angle of the cone that the eyes see, rad.
-        cone: f64 = 0.44, POSITIVE;
-        /// Share of the cone, from its axis, within which a thing is seen as well as on the axis.
+        /// Half the angle that a picture holds across, rad.
+        across: f64 = 0.44, POSITIVE;
+        /// Half the angle that it holds up, rad.
+        up: f64 = 0.44, POSITIVE;
+        /// Share of the picture, from its middle, within which a thing is seen as well as in the middle.
         core: f64 = 0.6, 0.0..=0.99;
         /// What a turn of one radian costs, in saliency.
         turn_cost: f64 = 0.15, 0.0..=1e3;
@@ -26,6 +28,24 @@ constants! {
     }
 }
 
+/// How views are chosen.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum GazeStrategy {
+    /// By saliency: the view that serves the needs best.
+    #[default]
+    Saliency,
+    /// One thing after the other, in the order of their names, whatever their needs: for comparison.
+    RoundRobin,
+    /// The eyes stay where they look: for comparison.
+    Fixed,
+}
+
+/// A view that the eyes have not come to after so long is left nevertheless by those who go round, s.
+const NOT_REACHED: f64 = 2.0;
+/// The eyes have come to a view when it is so near, rad.
+const ARRIVED: f64 = 0.1;
+/// Halvings of the turn that is spared where a view may be seen from its side.
+const HALVINGS: usize = 6;
 /// So many things are weighed, those that need it most: the number of views doubles with each.
 const MOST_THINGS: usize = 6;
 
@@ -71,8 +91,13 @@ pub fn saliency(deviation: f64, within: f64) -> f64 {
 #[derive(Debug, Clone, Default)]
 pub struct GazeSelection {
     config: GazeConfig,
+    strategy: GazeStrategy,
     /// The things of the present view, and for how long it has been kept, s.
     present: Option<(Vec<String>, f64)>,
+    /// For how long the eyes have been there, s.
+    arrived: f64,
+    /// Where they looked at first.
+    fixed: Option<Unit<Vector3<f64>>>,
 }
 
 impl GazeSelection {
@@ -80,15 +105,51 @@ impl GazeSelection {
     ///
     /// # Errors
     /// [`MotionError::OutOfRange`] when a constant is outside its range.
-    pub fn new(config: GazeConfig) -> Result<Self, MotionError> {
+    pub fn new(config: GazeConfig, strategy: GazeStrategy) -> Result<Self, MotionError> {
         config.check_ranges()?;
-        Ok(Self { config, present: None })
+        Ok(Self { config, strategy, ..Self::default() })
     }
 
-    /// How well a thing is seen, 0 to 1, that is `angle` rad off the axis.
-    fn seen(&self, angle: f64) -> f64 {
-        let share = angle / self.config.cone;
-        ((1.0 - share) / (1.0 - self.config.core)).clamp(0.0, 1.0)
+    /// Whether a thing in this direction is in the picture of eyes that look along `axis` and are level.
+    pub fn in_view(&self, axis: &Unit<Vector3<f64>>, thing: &Unit<Vector3<f64>>) -> bool {
+        self.seen(axis, thing) > 0.0
+    }
+
+    /// How well a thing is seen, 0 to 1, by eyes that look along `axis` and are level.
+    fn seen(&self, axis: &Unit<Vector3<f64>>, thing: &Unit<Vector3<f64>>) -> f64 {
+        let across = axis.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+        let up = across.cross(axis);
+        let ahead = thing.dot(axis);
+        let off = [(across, self.config.across), (up, self.config.up)]
+            .map(|(side, half)| f64::atan2(thing.dot(&side).abs(), ahead) / half);
+        ((1.0 - off[0].max(off[1])) / (1.0 - self.config.core)).clamp(0.0, 1.0)
+    }
+
+    /// The directions from which some things may be seen: their middle, and the one nearest to the present `axis` in which each is seen
+    /// as well as from there.
+    fn directions(&self, axis: &Unit<Vector3<f64>>, of: &[&GazeTarget]) -> Option<[Unit<Vector3<f64>>; 2]> {
+        let middle = of.iter().map(|t| t.direction.into_inner() * t.weight.max(1e-3)).sum::<Vector3<f64>>();
+        let middle = Unit::try_new(middle, 1e-6)?;
+        // A view that cuts off one of its things is none of both.
+        let seen: Vec<f64> = of.iter().map(|t| self.seen(&middle, &t.direction)).collect();
+        if seen.contains(&0.0) {
+            return None;
+        }
+        let between = |share: f64| Unit::try_new(middle.lerp(axis, share), 1e-6);
+        let as_well = |direction: &Unit<Vector3<f64>>| {
+            of.iter().zip(&seen).all(|(t, seen)| self.seen(direction, &t.direction) >= *seen)
+        };
+        let (mut near, mut nearest, mut step) = (0.0, middle, 1.0);
+        for _ in 0..HALVINGS {
+            if let Some(direction) = between(near + step).filter(&as_well) {
+                (near, nearest) = (near + step, direction);
+                if step == 1.0 {
+                    break;
+                }
+            }
+            step /= 2.0;
+        }
+        Some([middle, nearest])
     }
 
     /// The view for the next `dt` s, when the eyes look along `axis`; `None` where there is nothing to look at. `reached` is where the eyes
@@ -100,27 +161,31 @@ impl GazeSelection {
         targets: &[GazeTarget],
         mut reached: impl FnMut(&Unit<Vector3<f64>>) -> Unit<Vector3<f64>>,
     ) -> Option<GazeView> {
+        match self.strategy {
+            GazeStrategy::Saliency => {}
+            GazeStrategy::RoundRobin => return self.next(dt, axis, targets, reached),
+            GazeStrategy::Fixed => {
+                let direction = *self.fixed.get_or_insert(*axis);
+                return Some(GazeView { of: Vec::new(), direction, score: 0.0, changed: false });
+            }
+        }
         let mut most: Vec<&GazeTarget> = targets.iter().collect();
         most.sort_by(|a, b| b.need.total_cmp(&a.need).then_with(|| a.name.cmp(&b.name)));
         most.truncate(MOST_THINGS);
         let last = self.present.take();
         let score = |direction: &Unit<Vector3<f64>>| {
-            let served: f64 = targets.iter().map(|t| t.need * self.seen(t.direction.angle(direction))).sum();
+            let served: f64 = targets.iter().map(|t| t.need * self.seen(direction, &t.direction)).sum();
             served - self.config.turn_cost * axis.angle(direction)
         };
         let mut views: Vec<GazeView> = (1_u32..1 << most.len())
             .filter_map(|members| {
-                let of =
-                    most.iter().enumerate().filter(|(i, _)| members >> i & 1 == 1).map(|(_, target)| *target);
-                let middle =
-                    of.clone().map(|t| t.direction.into_inner() * t.weight.max(1e-3)).sum::<Vector3<f64>>();
-                let direction = Unit::try_new(middle, 1e-6)?;
-                // A view that cuts off one of its things is none of both.
-                of.clone().all(|t| self.seen(t.direction.angle(&direction)) > 0.0).then(|| {
-                    let mut of: Vec<String> = of.map(|t| t.name.clone()).collect();
-                    of.sort();
-                    GazeView { score: score(&direction), of, direction, changed: true }
-                })
+                let of: Vec<&GazeTarget> =
+                    most.iter().enumerate().filter(|(i, _)| members >> i & 1 == 1).map(|(_, t)| *t).collect();
+                let directions = self.directions(axis, &of)?.map(|direction| (score(&direction), direction));
+                let (score, direction) = directions.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+                let mut of: Vec<String> = of.into_iter().map(|t| t.name.clone()).collect();
+                of.sort();
+                Some(GazeView { score, of, direction, changed: true })
             })
             .collect();
         views.sort_by(|a, b| {
@@ -158,6 +223,34 @@ impl GazeSelection {
         };
         self.present = Some((chosen.of.clone(), kept));
         Some(chosen)
+    }
+
+    /// The thing whose turn it is: each is looked at for the dwell, once the eyes have come to it.
+    fn next(
+        &mut self,
+        dt: f64,
+        axis: &Unit<Vector3<f64>>,
+        targets: &[GazeTarget],
+        mut reached: impl FnMut(&Unit<Vector3<f64>>) -> Unit<Vector3<f64>>,
+    ) -> Option<GazeView> {
+        let mut all: Vec<&GazeTarget> = targets.iter().collect();
+        all.sort_by(|a, b| a.name.cmp(&b.name));
+        let (last, kept) = self.present.take().unwrap_or_default();
+        let of = |target: &&&GazeTarget| last.first() == Some(&target.name);
+        let present = all.iter().find(of).filter(|target| {
+            let there = axis.angle(&reached(&target.direction)) < ARRIVED;
+            self.arrived = if there { self.arrived + dt } else { 0.0 };
+            self.arrived < self.config.dwell && kept + dt < NOT_REACHED
+        });
+        let after = || all.iter().find(|target| last.first().is_none_or(|name| target.name > *name));
+        let target = present.or_else(after).or_else(|| all.first())?;
+        let changed = present.is_none();
+        if changed {
+            self.arrived = 0.0;
+        }
+        let of = vec![target.name.clone()];
+        self.present = Some((of.clone(), if changed { 0.0 } else { kept + dt }));
+        Some(GazeView { of, direction: reached(&target.direction), score: target.need, changed })
     }
 }
 

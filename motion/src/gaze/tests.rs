@@ -15,7 +15,7 @@ fn target(name: &str, yaw: f64, need: f64) -> GazeTarget {
 }
 
 fn selection() -> GazeSelection {
-    GazeSelection::new(GazeConfig::default()).unwrap()
+    GazeSelection::new(GazeConfig::default(), GazeStrategy::Saliency).unwrap()
 }
 
 proptest! {
@@ -41,7 +41,7 @@ proptest! {
         let axis = towards(0.0);
         let view = selection.choose(0.1, &axis, &targets, |direction| *direction).unwrap();
         let served = |direction: &Unit<Vector3<f64>>| -> f64 {
-            let seen: f64 = targets.iter().map(|t| t.need * selection.seen(t.direction.angle(direction))).sum();
+            let seen: f64 = targets.iter().map(|t| t.need * selection.seen(direction, &t.direction)).sum();
             seen - selection.config.turn_cost * axis.angle(direction)
         };
         prop_assert!((served(&view.direction) - view.score).abs() < 1e-12);
@@ -107,7 +107,7 @@ fn all_are_seen_in_turn_and_the_eyes_do_not_swing() {
         }
         axis = view.direction;
         for (name, yaw) in yaws {
-            let seen = towards(yaw).angle(&axis) < selection.config.cone;
+            let seen = selection.in_view(&axis, &towards(yaw));
             age.entry(name).and_modify(|age| *age = if seen { 0.0 } else { *age + dt });
         }
         if tick > 100 {

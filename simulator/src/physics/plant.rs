@@ -155,6 +155,11 @@ impl Plant {
         self.objects.get(index).map(|o| convert::to_pose(self.physics.bodies[o.handle].position()))
     }
 
+    /// The mass of a body, kg.
+    pub fn mass(&self, index: usize) -> Option<f64> {
+        self.objects.get(index).map(|o| self.physics.bodies[o.handle].mass())
+    }
+
     /// Whether something has handles.
     pub fn has_handles(&self) -> bool {
         self.objects.iter().any(|object| object.has_handles)

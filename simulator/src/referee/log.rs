@@ -50,6 +50,29 @@ pub struct KnownSurface {
     pub probability: f64,
 }
 
+/// A thing as the robot's memory knows it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KnownThing {
+    /// Its class in prior knowledge.
+    pub class: String,
+    /// Its middle in the root frame, m.
+    pub place: Vector3<f64>,
+    /// When the picture was taken in which it was seen last, ns.
+    pub seen_ns: u64,
+}
+
+/// A time in which a running skill needed to know the place of a thing.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct NeededThing {
+    /// The skill's activation.
+    activation: u64,
+    /// The thing's name in memory.
+    pub(super) thing: String,
+    pub(super) from_ns: u64,
+    /// `None` while it lasts.
+    pub(super) to_ns: Option<u64>,
+}
+
 /// The log of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TruthLog {
@@ -71,6 +94,10 @@ pub struct TruthLog {
     pub(super) led: Vec<(u64, LedHand)>,
     /// What the robot's memory told of the surfaces around it: when, ns, the surface's name, and `None` when it is no longer known.
     pub(super) surfaces: Vec<(u64, String, Option<KnownSurface>)>,
+    /// What it told of things: when, ns, the thing's name, and what it knew.
+    pub(super) things: Vec<(u64, String, KnownThing)>,
+    /// Which things the running skills needed.
+    pub(super) needs: Vec<NeededThing>,
     /// The coach's events.
     pub coach: Vec<ActionEvent>,
     /// The truth about every rendered frame.
@@ -140,6 +167,18 @@ impl TruthLog {
         {
             self.coach.push(*event);
         }
+    }
+
+    pub(super) fn needs(&mut self, stamp_ns: u64, activation: u64, thing: &str) {
+        if self.needs.len() < MAX_FRAMES {
+            let thing = thing.to_owned();
+            self.needs.push(NeededThing { activation, thing, from_ns: stamp_ns, to_ns: None });
+        }
+    }
+
+    pub(super) fn needs_no_more(&mut self, stamp_ns: u64, activation: u64) {
+        let ended = |need: &&mut NeededThing| need.activation == activation && need.to_ns.is_none();
+        self.needs.iter_mut().filter(ended).for_each(|need| need.to_ns = Some(stamp_ns));
     }
 
     /// The records from `from_ns` to before `to_ns`.

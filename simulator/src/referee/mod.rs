@@ -2,13 +2,14 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod carrying;
 mod coached;
 mod environment;
 mod force;
+mod gaze;
 mod gestures;
 mod grasp;
 mod guiding;
@@ -28,7 +29,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::report::Section;
-pub use log::{KnownSurface, Record, TruthLog};
+pub use log::{KnownSurface, KnownThing, Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
 pub use probes::judged_figures;
 use run::Run;
@@ -89,6 +90,8 @@ pub enum Milestone {
         /// How many epochs they had learned from before.
         before: u32,
     },
+    /// A hand leaves its place over a thing, to grasp it or to put something on it.
+    PrePoseLeft,
     /// The robot begins to play a motion in free space.
     PlayStarted,
     /// It has played it.
@@ -120,6 +123,7 @@ impl Milestone {
             "periods_started" => Self::PeriodsStarted,
             "epoch_ended" => Self::EpochEnded,
             "learned_together" => Self::LearnedTogether { before: number("before") as u32 },
+            "pre_pose_left" => Self::PrePoseLeft,
             "play_started" => Self::PlayStarted,
             "play_ended" => Self::PlayEnded,
             _ => return None,
@@ -192,6 +196,24 @@ impl Referee {
         if notes.log.surfaces.len() < log::MAX_FRAMES {
             notes.log.surfaces.push((stamp_ns, name.to_owned(), known));
         }
+    }
+
+    /// Records what the robot's memory knows of a thing from `stamp_ns` on, by the thing's name.
+    pub fn thing_known(&self, stamp_ns: u64, name: &str, known: KnownThing) {
+        let mut notes = self.notes();
+        if notes.log.things.len() < log::MAX_FRAMES {
+            notes.log.things.push((stamp_ns, name.to_owned(), known));
+        }
+    }
+
+    /// Records that a skill's activation needs to know the place of a thing in memory from `stamp_ns` on.
+    pub fn needs(&self, stamp_ns: u64, activation: u64, thing: &str) {
+        self.notes().log.needs(stamp_ns, activation, thing);
+    }
+
+    /// Records that an activation has ended, and with it all that it needed.
+    pub fn needs_no_more(&self, stamp_ns: u64, activation: u64) {
+        self.notes().log.needs_no_more(stamp_ns, activation);
     }
 
     /// All figures so far, by the names of their probes; those without data are absent.

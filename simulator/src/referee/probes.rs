@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 
 use super::run::Run;
 use super::{
-    bodies, carrying, coached, environment, force, gestures, grasp, guiding, imitation, learning_together,
-    people, reaching, wiped,
+    bodies, carrying, coached, environment, force, gaze, gestures, grasp, guiding, imitation,
+    learning_together, people, reaching, wiped,
 };
 
 /// A probe.
@@ -26,7 +26,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 13] = [
+const PROBES: [&Probe; 14] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -40,6 +40,7 @@ const PROBES: [&Probe; 13] = [
     &carrying::PROBE,
     &learning_together::PROBE,
     &environment::PROBE,
+    &gaze::PROBE,
 ];
 
 /// The figures of the probes that the world wants and that find something, by their names.

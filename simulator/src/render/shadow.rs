@@ -30,7 +30,12 @@ pub(super) struct Shadow {
     cells_per_metre: [f32; 2],
     /// Light at the corners of the cells, 0 to 1.
     light: Vec<f32>,
+    /// For each block of cells, row by row, whether some of it is in the shadow.
+    dark: Vec<bool>,
 }
+
+/// Cells along each side of a block.
+const BLOCK: usize = 8;
 
 /// The outline of a shape on the table.
 enum Outline {
@@ -67,10 +72,11 @@ impl Shadow {
         let usable = half.x > 0.0 && half.y > 0.0 && half.x.is_finite() && half.y.is_finite();
         let light = if usable { vec![1.0; (columns + 1) * (rows + 1)] } else { Vec::new() };
         let cells_per_metre = [columns as f32 / (2.0 * half.x) as f32, rows as f32 / (2.0 * half.y) as f32];
-        Self { columns, rows, half: [half.x as f32, half.y as f32], cells_per_metre, light }
+        let dark = vec![false; (columns / BLOCK + 1) * (rows / BLOCK + 1)];
+        Self { columns, rows, half: [half.x as f32, half.y as f32], cells_per_metre, light, dark }
     }
 
-    /// The light at some points of the table, 0 to 1, interpolated.
+    /// The light at some points of the table, 0 to 1, interpolated. They lie on a line, in order.
     #[inline(always)]
     pub(super) fn lanes(&self, x: Lanes, y: Lanes) -> Lanes {
         let axis = |value: Lanes, half: f32, per_metre: f32, cells: usize| {
@@ -81,6 +87,9 @@ impl Shadow {
         };
         let (column, s) = axis(x, self.half[0], self.cells_per_metre[0], self.columns);
         let (row, t) = axis(y, self.half[1], self.cells_per_metre[1], self.rows);
+        if self.is_lit([column[0], column[7]], [row[0], row[7]]) {
+            return Lanes::ONE;
+        }
         let below = self.columns + 1;
         let corners = each(|i| {
             let first = row[i] as usize * below + column[i] as usize;
@@ -92,6 +101,17 @@ impl Shadow {
         upper + (lower - upper) * t
     }
 
+    /// Whether all cells are lit that lie between two of them, each given by its column and its row.
+    #[inline(always)]
+    fn is_lit(&self, columns: [i32; 2], rows: [i32; 2]) -> bool {
+        let [near, across] = [columns, rows].map(|[a, b]| (a - b).unsigned_abs() < BLOCK as u32);
+        let dark = |column: i32, row: i32| {
+            let block = row as usize / BLOCK * (self.columns / BLOCK + 1) + column as usize / BLOCK;
+            self.dark.get(block).copied().unwrap_or(false)
+        };
+        near && across && !columns.iter().any(|column| rows.iter().any(|row| dark(*column, *row)))
+    }
+
     /// Adds the shadow of one shape.
     fn throw(&mut self, shape: &Shape, table_from_shape: &Isometry3<f64>, slant: &Vector3<f64>, top: f64) {
         let Some((outline, height)) = outline(&shape.geometry, table_from_shape, slant, top) else { return };
@@ -101,6 +121,13 @@ impl Shadow {
         let blur = BLUR[0] + BLUR[1] * height;
         let depth = DARKEST / (1.0 + height / FADING);
         let Some([low, high]) = self.cells(&outline, blur) else { return };
+        // The light of a cell is that of its four corners.
+        let block = |corner: usize| corner / BLOCK;
+        for row in block(low[1].saturating_sub(1))..=block(high[1]) {
+            for column in block(low[0].saturating_sub(1))..=block(high[0]) {
+                self.dark[row * (self.columns / BLOCK + 1) + column] = true;
+            }
+        }
         for j in low[1]..=high[1] {
             for i in low[0]..=high[0] {
                 let x = i as f64 / f64::from(self.cells_per_metre[0]) - f64::from(self.half[0]);

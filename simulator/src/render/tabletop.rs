@@ -41,6 +41,8 @@ struct Dirt<'a> {
     texture: &'a DirtTexture,
     shades: Shades,
     cells_per_metre: [f32; 2],
+    /// Where something is dirty at all, m: both corners of a rectangle.
+    dirty: [[f32; 2]; 2],
 }
 
 /// Draws a tabletop.
@@ -68,14 +70,8 @@ pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, 
 impl<'a> Surface<'a> {
     fn new(table: &Tabletop<'a>, shades: &'a Shades) -> Self {
         let half = [table.half.x as f32, table.half.y as f32];
-        let dirt = table.dirt.filter(|dirt| dirt.columns > 0 && dirt.rows > 0).map(|texture| Dirt {
-            texture,
-            shades: Shades::new(texture.color),
-            cells_per_metre: [
-                texture.columns as f32 / (2.0 * half[0]),
-                texture.rows as f32 / (2.0 * half[1]),
-            ],
-        });
+        let dirt = table.dirt.filter(|dirt| dirt.columns > 0 && dirt.rows > 0);
+        let dirt = dirt.map(|texture| Dirt::new(texture, half));
         Self { half, shades, dirt, shadow: table.shadow }
     }
 
@@ -85,7 +81,7 @@ impl<'a> Surface<'a> {
         let grain = MOTTLING.lanes(x * GRAIN_SCALE[0] + 8192.0, y * GRAIN_SCALE[1] + 8192.0);
         let bright = brightness * self.shadow.lanes(x, y) * (grain * GRAIN + 1.0);
         let clean = self.shades.lanes(bright);
-        let Some(dirt) = &self.dirt else { return clean };
+        let Some(dirt) = self.dirt.as_ref().filter(|dirt| dirt.may_be_at(x, y)) else { return clean };
         let cell = |value: Lanes, axis: usize| {
             ((value + self.half[axis]) * dirt.cells_per_metre[axis] - 0.5).fast_round_int().to_array()
         };
@@ -97,6 +93,44 @@ impl<'a> Surface<'a> {
         let dirty = dirt.shades.lanes(bright);
         each(|i| mix(clean[i], dirty[i], amount[i]))
     }
+}
+
+impl<'a> Dirt<'a> {
+    /// The dirt on a table with these half edges, m.
+    fn new(texture: &'a DirtTexture, half: [f32; 2]) -> Self {
+        let cells = [texture.columns, texture.rows];
+        let cells_per_metre = std::array::from_fn(|axis| cells[axis] as f32 / (2.0 * half[axis]));
+        let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+        for (row, amounts) in texture.cells.chunks_exact(texture.columns).enumerate() {
+            let first = amounts.iter().position(|amount| *amount > 0);
+            let last = amounts.iter().rposition(|amount| *amount > 0);
+            let Some((first, last)) = first.zip(last) else { continue };
+            low = [low[0].min(first as f32), low[1].min(row as f32)];
+            high = [high[0].max(last as f32), high[1].max(row as f32)];
+        }
+        // A cell reaches from its number to the next, and rounding a little further.
+        let at = |cell: f32, axis: usize| cell / cells_per_metre[axis] - half[axis];
+        let dirty = [
+            std::array::from_fn(|axis| at(low[axis] - 1.0, axis)),
+            std::array::from_fn(|axis| at(high[axis] + 2.0, axis)),
+        ];
+        Self { texture, shades: Shades::new(texture.color), cells_per_metre, dirty }
+    }
+
+    /// Whether one of some points on a line may be dirty, m.
+    #[inline(always)]
+    fn may_be_at(&self, x: Lanes, y: Lanes) -> bool {
+        let [low, high] = &self.dirty;
+        !all_beyond(x, low[0], high[0]) && !all_beyond(y, low[1], high[1])
+    }
+}
+
+/// Whether all values are below `low` or all above `high`; they come in order, rising or falling.
+#[inline(always)]
+fn all_beyond(values: Lanes, low: f32, high: f32) -> bool {
+    let values = values.as_array();
+    let (first, last) = (values[0], values[7]);
+    first.max(last) < low || first.min(last) > high
 }
 
 impl Bump {

@@ -1,6 +1,7 @@
 //! What goes wrong in a run: sensors that are broken for a time, and forces on things and hands. It breaks nothing itself.
 
 use armarium_source::{Rule, choice, form};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 form! {
@@ -70,6 +71,17 @@ form! {
         pub duration as "for": f64 = 0.1, Rule::number("s", 0.001, 3600.0);
         /// Whether the force is the same all the time instead.
         pub steady: bool = false;
+        /// Where somebody takes it in that time instead, from where it is, m: evenly, with no more force than `force` is long.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub by: Option<[f64; 3]> = None, Rule::number("m", -1.0, 1.0);
+    }
+}
+
+impl Disturbance {
+    /// Its force when it has lasted `age` s, root frame, N.
+    pub(crate) fn force_at(&self, age: f64) -> Vector3<f64> {
+        let rise = if self.steady { 1.0 } else { (std::f64::consts::PI * age / self.duration).sin() };
+        Vector3::from(self.force) * rise
     }
 }
 

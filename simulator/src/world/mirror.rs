@@ -66,7 +66,10 @@ impl World {
                 }
             }
         }
-        self.disturbances.iter_mut().for_each(|disturbance| flip(&mut disturbance.force[0]));
+        for disturbance in &mut self.disturbances {
+            flip(&mut disturbance.force[0]);
+            disturbance.by.iter_mut().for_each(|by| flip(&mut by[0]));
+        }
         for AgentSpec { at, looks_at, .. } in &mut self.agents {
             flip(&mut at[0]);
             flip(&mut looks_at[0]);

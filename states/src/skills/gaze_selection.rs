@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::updater::Updater;
-use armarium_motion::{GazeConfig, GazeSelection, GazeTarget, GazeView, saliency};
+use armarium_motion::{GazeConfig, GazeSelection, GazeStrategy, GazeTarget, GazeView, saliency};
 use armarium_robot::Sensed;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
@@ -38,12 +38,20 @@ const LOOKED_FOR: f64 = 2.0;
 /// The event that explains a choice.
 const TURNED: &str = "gaze_turned";
 
+/// The values of the input `strategy`.
+const STRATEGIES: [(&str, GazeStrategy); 3] = [
+    ("saliency", GazeStrategy::Saliency),
+    ("round_robin", GazeStrategy::RoundRobin),
+    ("fixed", GazeStrategy::Fixed),
+];
+
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "GazeSelection",
         "Looks at what the running skills need to know the place of, the least certain first, and at what is new or moves, until it is cancelled.",
     )
     .formerly("WatchCoach")
+    .optional("strategy", Type::one_of(STRATEGIES.map(|(name, _)| name)), STRATEGIES[0].0, "`saliency`; for comparison `round_robin`, what is needed one after the other, or `fixed`, where the eyes look at the start.")
     .optional("motion", Type::Any, Value::Null, "A motion whose middle is looked at as well.")
     .reads("hand")
     .attends("motion", 0.05, 1.0)
@@ -58,7 +66,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let _frames_are_wanted = context.channels.demand("hand");
     let mut looking = Looking::new(&equipment)?;
     let mut attended = AttendedPlaces::default();
-    let mut gaze = Gaze::new(&equipment)?;
+    let strategy = context.text("strategy")?;
+    let strategy =
+        STRATEGIES.iter().find(|(name, _)| *name == strategy).map_or_else(Default::default, |s| s.1);
+    let mut gaze = Gaze::new(&equipment, strategy)?;
     let mut waited = CHOICE;
     loop {
         let (sample, dt) = senses.next().await?;
@@ -104,14 +115,15 @@ struct Gaze {
     looked_at: Option<Point3<f64>>,
     /// When each thing was seen last, ns, and for how long it has been in view since, s.
     in_vain: BTreeMap<String, (u64, f64)>,
-    cone: f64,
+    strategy: GazeStrategy,
 }
 
 impl Gaze {
-    fn new(equipment: &Equipment) -> Result<Self, Failure> {
-        let cone = equipment.images.calibration().camera.cone();
-        let selection = GazeSelection::new(GazeConfig { cone, ..GazeConfig::default() }).map_err(failed)?;
-        Ok(Self { selection, middle: None, looked_at: None, in_vain: BTreeMap::new(), cone })
+    fn new(equipment: &Equipment, strategy: GazeStrategy) -> Result<Self, Failure> {
+        let [across, up] = equipment.images.calibration().camera.half_angles();
+        let config = GazeConfig { across, up, ..GazeConfig::default() };
+        let selection = GazeSelection::new(config, strategy).map_err(failed)?;
+        Ok(Self { selection, middle: None, looked_at: None, in_vain: BTreeMap::new(), strategy })
     }
 
     fn choose(
@@ -124,10 +136,12 @@ impl Gaze {
         let (eye, axis) = head.eye(&sample.position);
         let mut targets = Vec::new();
         let mut in_vain = BTreeMap::new();
-        for thing in watched {
+        // Stimuli are for those who choose.
+        let chooses = self.strategy == GazeStrategy::Saliency;
+        for thing in watched.iter().filter(|thing| chooses || !thing.needed_by.is_empty()) {
             let Some(direction) = Unit::try_new(thing.place - eye, 1e-3) else { continue };
             let before = self.in_vain.get(&thing.name).filter(|(seen_ns, _)| *seen_ns == thing.seen_ns);
-            let change = if direction.angle(&axis) < self.cone { dt } else { -dt };
+            let change = if self.selection.in_view(&axis, &direction) { dt } else { -dt };
             let vain = (before.map_or(0.0, |(_, vain)| *vain) + change).clamp(0.0, 2.0 * IN_VAIN);
             let counts = if thing.class.is_some() && vain > IN_VAIN { COUNTS_THEN } else { 1.0 };
             in_vain.insert(thing.name.clone(), (thing.seen_ns, vain));
@@ -143,7 +157,7 @@ impl Gaze {
             .filter_map(|name| watched.iter().find(|thing| thing.name == *name))
             .map(|thing| (thing.place - eye).norm())
             .collect();
-        let distance = far.iter().sum::<f64>() / far.len().max(1) as f64;
+        let distance = if far.is_empty() { 1.0 } else { far.iter().sum::<f64>() / far.len() as f64 };
         self.middle = Some(eye + view.direction.into_inner() * distance);
         if view.changed {
             self.looked_at = self.middle;

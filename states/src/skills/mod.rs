@@ -6,6 +6,7 @@ mod calibrate_hand_eye;
 mod carry_together;
 mod close_hand;
 mod execute_motion;
+mod follow_object;
 mod force_adaptation;
 mod force_coaching;
 mod force_guiding;
@@ -50,6 +51,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(move_platform::skill(equipment)),
         Arc::new(move_tcp::skill(equipment)),
         Arc::new(move_tcp_by::skill(equipment)),
+        Arc::new(follow_object::skill(equipment)),
         Arc::new(look_at::skill(equipment)),
         Arc::new(look_around::skill(equipment)),
         Arc::new(model_environment::skill(equipment)),

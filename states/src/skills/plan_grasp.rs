@@ -36,7 +36,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     .input("object", Type::object(), "The object in memory.")
     .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp, along the surface's normal.")
     .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
-    .output("pre_pose", Type::Pose, "Pose of the TCP over it.");
+    .output("pre_pose", Type::Pose, "Pose of the TCP over it.")
+    .output("object_pose", Type::Pose, "Where memory believes the object to be.");
     equipment::skill(equipment, names_the_arm(manifest), run)
 }
 
@@ -98,7 +99,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             center.x, center.y, center.z
         )));
     };
-    Ok(Outcome::success().with("grasp_pose", pose_value(&grasp)).with("pre_pose", pose_value(&pre)))
+    let planned =
+        Outcome::success().with("grasp_pose", pose_value(&grasp)).with("pre_pose", pose_value(&pre));
+    Ok(planned.with("object_pose", pose_value(&object)))
 }
 
 /// The largest distance of the finger pads, m.

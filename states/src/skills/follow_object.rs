@@ -1,0 +1,116 @@
+//! `FollowObject`: holds the hand over a thing and goes where it goes, until the hand has rested there for a while.
+//!
+//! Where the thing is, memory says: it sees nothing itself. Whoever turns the eyes looks at the thing as long as this skill needs it.
+
+use armarium_memoryx::EntityId;
+use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
+use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit, Value};
+use nalgebra::{Isometry3, Translation3, Vector3};
+
+use crate::arm::{LeasedArm, Senses, moves_the_arm};
+use crate::equipment::{self, Equipment};
+use crate::grasp::{hand, held_in_tcp};
+use crate::inputs::{Inputs, pose_value};
+use crate::motions::failed;
+use crate::skills::move_tcp::tolerances;
+
+/// How often memory is asked, s.
+const ASKED: f64 = 0.02;
+/// So exactly the thing's place is to be known, m.
+const WITHIN: f64 = 0.01;
+
+pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
+    let manifest = SkillManifest::new(
+        "FollowObject",
+        "Holds the hand over a thing, wherever memory says that it is, until the hand has rested there.",
+    )
+    .input("object", Type::object(), "The thing in memory.")
+    .optional(
+        "height",
+        Type::quantity(Unit::M),
+        0.12,
+        "Height of what the hand would hold over the thing's middle.",
+    )
+    .optional(
+        "grasp_pose",
+        Type::Any,
+        Value::Null,
+        "Pose of the TCP that grasps the thing where it is now; without it, the hand keeps its orientation.",
+    )
+    .optional("for", Type::Duration, 0.5, "How long the hand is to have rested there.")
+    .optional("speed", Type::quantity(Unit::M_S), 0.15, "Largest speed.");
+    let manifest = tolerances(manifest, 0.005, 0.06)
+        .optional("timeout", Type::Duration, 20.0, "Longest time it may take.")
+        .output(
+            "grasp_pose",
+            Type::Pose,
+            "Pose of the TCP that grasps the thing where it is believed to be at the end.",
+        )
+        .output("pre_pose", Type::Pose, "Pose of the TCP over it.")
+        .attends("object", WITHIN, 1.0)
+        .mark(Mark::at_success("pre_pose_left"));
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let id = context.entity("object")?;
+    let begin = place(&equipment, &id).await?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
+    let grasp = match context.value("grasp_pose")? {
+        Value::Null => {
+            let palm = arm.tcp(&senses.newest()).rotation;
+            let held = palm * held_in_tcp(hand(equipment.robot.model(), &arm.limb)?).coords;
+            Isometry3::from_parts((begin - held).into(), palm)
+        }
+        _ => context.pose("grasp_pose")?,
+    };
+    let above = Translation3::new(0.0, 0.0, context.number("height")?);
+    let rests = context.number("for")?;
+    let mut law = PositionServo::new(ServoConfig {
+        position_tolerance: context.number("position_tolerance")?,
+        rotation_tolerance: context.number("orientation_tolerance")?,
+        timeout: context.number("timeout")?,
+        max_linear: context.number("speed")?,
+        hold_frames: (rests / ASKED).ceil() as u32,
+        // The thing may go away from the hand.
+        divergence: 1e9,
+        ..ServoConfig::default()
+    })
+    .map_err(failed)?;
+    let (mut waited, mut linear, mut angular) = (ASKED, Vector3::zeros(), Vector3::zeros());
+    loop {
+        let (sample, dt) = senses.next().await?;
+        waited += dt;
+        if waited >= ASKED {
+            let there = Translation3::from(place(&equipment, &id).await? - begin) * grasp;
+            let observation = ServoObservation { hand: arm.tcp(&sample), target: above * there };
+            let command = law.step(waited, Some(&observation)).map_err(failed)?;
+            match command.status {
+                ServoStatus::Running => {}
+                ServoStatus::Converged => {
+                    let done = Outcome::success().with("grasp_pose", pose_value(&there));
+                    return Ok(done.with("pre_pose", pose_value(&observation.target)));
+                }
+                _ => {
+                    return Err(Failure::new(format!(
+                        "the hand did not come to rest over `{id}`: it is {:.0} mm and {:.2} rad off; does the thing stand \
+                         still at times, and is it within reach?",
+                        command.distance * 1e3,
+                        command.angle
+                    )));
+                }
+            }
+            (waited, linear, angular) = (0.0, command.linear, command.angular);
+        }
+        arm.twist(&sample, linear, angular)?;
+    }
+}
+
+/// Where memory believes a thing to be, root frame, m.
+async fn place(equipment: &Equipment, id: &EntityId) -> Result<Vector3<f64>, Failure> {
+    let known = equipment.memory.latest(id).await.map_err(failed)?;
+    let pose = equipment.remembered().root_pose(&known);
+    Ok(pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?.translation.vector)
+}
