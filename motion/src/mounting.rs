@@ -151,6 +151,6 @@ mod tests {
             in_root: Point3::origin(),
         };
         assert!(mounting.see(0, view).is_err());
-        assert_eq!(mounting.from_shown(&head(0.1, 0.0)).rotation.angle(), 0.0);
+        assert!(mounting.rotation().angle() < 1e-12 && !mounting.known());
     }
 }
