@@ -12,6 +12,7 @@ mod arm;
 mod around;
 mod attended;
 mod both;
+mod both_seen;
 mod coaching;
 mod equipment;
 mod follow;

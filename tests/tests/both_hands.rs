@@ -72,12 +72,13 @@ fn a_box_that_is_too_smooth_is_lost_and_the_run_says_so() {
 
 #[test]
 fn a_tray_is_gripped_at_its_handles_carried_level_and_put_down() {
-    let ended = carried("carry_tray.yaml", 1, |world| world);
+    // With contacts that do not turn with the load, this one would be jolted by its handles to 20 degrees.
+    let ended = carried("carry_tray.yaml", 8, |world| world);
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let own = &ended.report["carrying"];
     let figure = |key: &str| own[key].as_f64().unwrap();
     assert!(own["gripped"] == true && figure("lifted_m") > 0.05 && figure("held") == 1.0, "{own}");
     assert!(figure("tilt_deg") < 3.0 && figure("slipped_m") < 0.005, "{own}");
-    assert!(figure("sloshed_deg") < 12.0 && figure("upon_moved_m") < 0.01, "{own}");
+    assert!(figure("sloshed_deg") < 6.0 && figure("upon_moved_m") < 0.01, "{own}");
     assert!(figure("mass_error").abs() < 0.05, "{own}");
 }

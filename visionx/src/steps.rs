@@ -318,6 +318,8 @@ pub struct ObjectStep {
     localizer: ObjectLocalizer,
     /// Finds the table; `None` when it has been looked for.
     tables: Option<TabletopSegmentation>,
+    /// How the cameras are turned against where they are believed to be, if the surface is level.
+    mounted: Option<UnitQuaternion<f64>>,
     class: String,
     last: Option<ObjectEstimate>,
 }
@@ -328,13 +330,20 @@ const STANDS: f64 = 0.04;
 impl ObjectStep {
     /// The step around a localizer of boxes of this class, on a surface whose tilt the localizer knows.
     pub fn new(localizer: ObjectLocalizer, class: &str) -> Self {
-        Self { localizer, tables: None, class: class.into(), last: None }
+        Self { localizer, tables: None, mounted: None, class: class.into(), last: None }
     }
 
     /// The step for a box on a table that is to be found with it, by depth images of this camera.
     #[must_use]
     pub fn with_table(self, camera: PinholeCamera) -> Self {
         Self { tables: Some(TabletopSegmentation::new(camera)), ..self }
+    }
+
+    /// The step for a box on a level surface and cameras that are turned so in the frame of their believed pose: what is level is shown
+    /// tilted, otherwise with every turn of the head.
+    #[must_use]
+    pub fn level_for(self, believed_from_camera: UnitQuaternion<f64>) -> Self {
+        Self { mounted: Some(believed_from_camera), ..self }
     }
 
     /// The table under the box, once a box has been found.
@@ -368,6 +377,12 @@ impl StereoStep for ObjectStep {
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         let table = self.table(frame);
+        if let Some(mounted) = &self.mounted {
+            let believed = frame.root_from_left.rotation;
+            let shown_up = believed * mounted.inverse() * believed.inverse() * Vector3::z();
+            let tilt = UnitQuaternion::rotation_between(&Vector3::z(), &shown_up).unwrap_or_default();
+            self.localizer = self.localizer.clone().standing_on(tilt);
+        }
         self.last = self.localizer.localize(frame);
         let seen = |object: &ObjectEstimate| {
             let pose = &object.root_from_object;

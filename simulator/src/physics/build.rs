@@ -103,11 +103,15 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
     let form = |(i, part): (usize, &Visual)| {
         let form = shape(&part.shape, &part.link_from_shape)
             .collision_groups(groups(RIGID, ROBOT | OBJECT | ROOM | RIGID | PERSON));
-        // What sticks to a handle is the soft grip of a hand.
+        // What sticks to a handle is the soft grip of a hand. Contacts with hooks, though there is none, are found anew in each step:
+        // otherwise Rapier keeps their normals in the room until what touches has turned by 11 degrees, and pads that turn with a
+        // handle push it aside with a fifth of their force, until they let go of a sudden.
         if i < plain {
             form.friction(spec.friction)
         } else {
-            form.friction(0.0).friction_combine_rule(rapier::CoefficientCombineRule::Multiply)
+            form.friction(0.0)
+                .friction_combine_rule(rapier::CoefficientCombineRule::Multiply)
+                .active_hooks(rapier::ActiveHooks::MODIFY_SOLVER_CONTACTS)
         }
     };
     let parts: Vec<_> = all.iter().enumerate().map(form).collect();

@@ -52,9 +52,12 @@ struct CarryingFigures {
     internal_most_n: f64,
     /// Largest angle between its z axis and the vertical, less that at the beginning where it is pressed, degrees.
     tilt_deg: f64,
-    /// Of what stands on it: the largest angle of its axis to what pulls at what it holds, degrees, and how far it moved on the load, m.
+    /// Of what stands on it: the largest angle of its axis to what pulls at what it holds, degrees, when that was, s, and how far it moved
+    /// on the load, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     sloshed_deg: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sloshed_at_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     upon_moved_m: Option<f64>,
     /// How far it has slipped between the hands, from when they bore it to the end, m.
@@ -128,7 +131,9 @@ fn measure(run: &Run<'_>) -> Option<Value> {
         Milestone::CarryingEnded { weight_n } => Some(*weight_n),
         _ => None,
     });
-    let sloshed = upon.as_ref().and_then(|upon| upon.sloshed(run, *from));
+    let stood_upon = upon.as_ref().and_then(|upon| upon.stood(run, *from)).unwrap_or_default();
+    let sloshed = stood_upon.iter().max_by(|a, b| a.sloshed_deg.total_cmp(&b.sloshed_deg));
+    let moved = stood_upon.iter().map(|upon| upon.moved_m).reduce(f64::max);
     // Where nothing is between the hands there is no entry at all.
     let lasted = (end.0 - from) / 1_000_000 + 1;
     let figures = CarryingFigures {
@@ -142,8 +147,9 @@ fn measure(run: &Run<'_>) -> Option<Value> {
         internal_least_n: fold(f64::INFINITY, f64::min),
         internal_most_n: fold(0.0, f64::max),
         tilt_deg: carried.iter().map(lean).fold(0.0, f64::max),
-        sloshed_deg: sloshed.map(|(angle, _)| angle),
-        upon_moved_m: sloshed.map(|(_, moved)| moved),
+        sloshed_deg: sloshed.map(|most| most.sloshed_deg),
+        sloshed_at_s: sloshed.map(|most| seconds(most.at_ns)),
+        upon_moved_m: moved,
         slipped_m: borne.map_or(0.0, |borne| (in_hands(end) - in_hands(&carried[borne])).norm()),
         held: carried.iter().filter(touched).count() as f64 / lasted as f64,
         way_m: carried.windows(2).map(way).sum(),
@@ -171,9 +177,8 @@ impl Upon {
         Some(Self { body, mass: spec.mass + inside })
     }
 
-    /// From `from` ns on, while both hands have the load: the largest angle of its axis to the pull that what it holds feels, degrees, and
-    /// how far it moved on the load, m.
-    fn sloshed(&self, run: &Run<'_>, from: u64) -> Option<(f64, f64)> {
+    /// How it stood in each millisecond from `from` ns on in which both hands have the load.
+    fn stood(&self, run: &Run<'_>, from: u64) -> Option<Vec<Stood>> {
         let held = between(run, from, u64::MAX);
         let places = run.log.moved.get(&self.body)?;
         let mut next = 0;
@@ -184,22 +189,31 @@ impl Upon {
         let begin = held.first()?;
         let on_load = begin.2.inverse() * place_at(begin.0)?;
         let point = |entry: &Pressed| (entry.2 * on_load).translation.vector;
-        let (mut pull, mut angle, mut moved) = (Vector3::zeros(), 0.0_f64, 0.0_f64);
-        for three in held.windows(3) {
-            let (t, _, pose) = &three[2];
-            let place = place_at(*t)?;
+        let mut pull = Vector3::zeros();
+        let mut stood = |three: &[Pressed]| {
+            let (at_ns, _, pose) = &three[2];
+            let place = place_at(*at_ns)?;
             let steps = [three[1].0 - three[0].0, three[2].0 - three[1].0];
             if steps == [1_000_000; 2] {
                 let bend = point(&three[2]) - point(&three[1]) * 2.0 + point(&three[0]);
                 pull += (bend * 1e6 - pull) * (1e-3 / (SMOOTH + 1e-3));
             }
             let up = Vector3::z() * GRAVITY + pull;
-            angle = angle.max((place.rotation * Vector3::z()).angle(&up).to_degrees());
-            moved =
-                moved.max(((pose.inverse() * place).translation.vector - on_load.translation.vector).norm());
-        }
-        Some((angle, moved))
+            let sloshed_deg = (place.rotation * Vector3::z()).angle(&up).to_degrees();
+            let moved_m = ((pose.inverse() * place).translation.vector - on_load.translation.vector).norm();
+            Some(Stood { at_ns: *at_ns, sloshed_deg, moved_m })
+        };
+        held.windows(3).map(&mut stood).collect()
     }
+}
+
+/// How what is upon the load stands at a time.
+struct Stood {
+    at_ns: u64,
+    /// The angle of its axis to the pull that what it holds feels, degrees.
+    sloshed_deg: f64,
+    /// How far it has moved on the load, m.
+    moved_m: f64,
 }
 
 /// The largest force of the table less the weight, N, and how far the load moved from when the table bore it, m.
@@ -277,7 +291,23 @@ fn section(run: &Run<'_>, _: &Value) -> Vec<Section> {
         ..TimePlot::default()
     };
     let note = "What both hands do to what they carry, at its contacts.";
-    vec![Section::new("Carrying", note, vec![Block::Plot(forces), Block::Plot(tilted)])]
+    let mut blocks = vec![Block::Plot(forces), Block::Plot(tilted)];
+    let (from, load, _) = &carried[0];
+    if let Some(stood) = Upon::of(run, load.body).and_then(|upon| upon.stood(run, *from)) {
+        // Of each stretch the worst: a jolt is short.
+        let worst = |stretch: &[Stood]| stretch.iter().map(|upon| upon.sloshed_deg).fold(0.0, f64::max);
+        blocks.push(Block::Plot(TimePlot {
+            title: "What stands on it: the angle of what it holds".into(),
+            y_label: "Angle, °".into(),
+            series: vec![Series {
+                label: "to its axis".into(),
+                t_s: stood.chunks(STRIDE).map(|stretch| seconds(stretch[0].at_ns)).collect(),
+                y: stood.chunks(STRIDE).map(worst).collect(),
+            }],
+            ..TimePlot::default()
+        }));
+    }
+    vec![Section::new("Carrying", note, blocks)]
 }
 
 #[cfg(test)]
