@@ -395,6 +395,14 @@ fn six(twist: &Twist) -> Vector6<f64> {
     Vector6::new(l.x, l.y, l.z, a.x, a.y, a.z)
 }
 
+/// The joints with which an arm could reach now: its own, and those of its helpers that nobody else commands.
+pub(crate) fn free_joints(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Vec<usize> {
+    let is_free = |helper: &&String| try_lease(equipment, context, &[helper.as_str()], &[]).is_ok();
+    let model = equipment.robot.model();
+    let limbs = arm.helped_by.iter().filter(is_free).chain([&arm.name]);
+    limbs.flat_map(|limb| model.limb(limb)).copied().collect()
+}
+
 /// Leases a limb, with the chart's limits. Its hand may come near to what `touches` names.
 pub(crate) fn lease(
     equipment: &Equipment,

@@ -11,6 +11,7 @@ mod force_adaptation;
 mod force_coaching;
 mod force_guiding;
 mod gaze_selection;
+mod hold_still;
 mod imitate_motion;
 mod keep_motion;
 mod learn_together;
@@ -52,6 +53,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(move_tcp::skill(equipment)),
         Arc::new(move_tcp_by::skill(equipment)),
         Arc::new(follow_object::skill(equipment)),
+        Arc::new(hold_still::skill(equipment)),
         Arc::new(look_at::skill(equipment)),
         Arc::new(look_around::skill(equipment)),
         Arc::new(model_environment::skill(equipment)),

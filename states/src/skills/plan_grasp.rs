@@ -10,7 +10,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3};
 use rand_chacha::ChaCha8Rng;
 
-use crate::arm::{chosen, names_the_arm, tcp_of};
+use crate::arm::{chosen, free_joints, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, pose_value};
@@ -56,9 +56,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let arm = chosen(&equipment, &context)?;
     let hand = hand(model, arm)?;
     let mut random = equipment.random();
-    let ready = model.taken_at(model.ready(&arm.name), &equipment.robot.sensed().borrow().position);
+    let now = equipment.robot.sensed().borrow();
+    let joints = free_joints(&equipment, &context, arm);
+    let mut ready = model.taken_at(model.ready(&arm.name), &now.position);
+    for joint in model.reaching_joints(&arm.name).into_iter().filter(|joint| !joints.contains(joint)) {
+        ready[joint] = now.position[joint];
+    }
     let opening = widest_opening(model, hand);
-    let (tcp, joints) = (tcp_of(arm)?, model.reaching_joints(&arm.name));
+    let tcp = tcp_of(arm)?;
     let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>)> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
