@@ -9,8 +9,6 @@ mod arm4;
 mod coaching;
 mod dpdmp;
 mod dual_arm;
-mod dual_arm_plots;
-mod dual_arm_robot;
 mod error;
 mod experiment;
 pub mod fingertips;

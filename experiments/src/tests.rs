@@ -245,7 +245,7 @@ const PICTURED: [Pictured; 10] = [
             let last = distance.len() - 1;
             vec![
                 format!("{:.1} mm to {:.2} mm", 1e3 * distance[0], 1e3 * distance[last]),
-                format!("{:.1} N to {:.2} N", force[0], force[last]),
+                format!("{:.1} N to {:.1} N", force[0], force[last]),
             ]
         },
     },

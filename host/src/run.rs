@@ -13,7 +13,7 @@ use armarium_runtime::exec::{Controller, RunResult};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, RobotInWorld, Simulation, TruthSink, World};
 use armarium_states::observers;
-use armarium_values::report::Figure;
+use armarium_values::report::{Figure, Section};
 use armarium_viewer::live::{RunHeader, ShownTimeline};
 use armarium_viewer::progress::ProgressLine;
 use armarium_viewer::recorder::Recorder;
@@ -52,6 +52,8 @@ pub struct RunEnded {
     pub report: serde_json::Value,
     /// The figures that referees measured, with their requirements.
     pub figures: Vec<Figure>,
+    /// The sections of the report, as they are drawn.
+    pub sections: Vec<Section>,
     /// Whether the recording was written to its end.
     pub recorded: bool,
     /// Whether the report was written.
@@ -485,11 +487,11 @@ impl Stage {
         self.recorder.write(|recorder| attach_report(recorder, &sections));
         let recorded = self.recorder.finish();
         let page = self.live.take().and_then(|live| {
-            live.timeline.report(sections);
+            live.timeline.report(sections.clone());
             let RunResult { outcome, reason, chain, .. } = &result;
             live.end(serde_json::json!({"outcome": outcome, "reason": reason, "chain": chain})).map(Arc::new)
         });
         let (reported, folder) = (files.is_ok(), config.report.clone());
-        Ok(RunEnded { result, report, figures, recorded, reported, folder, page })
+        Ok(RunEnded { result, report, figures, sections, recorded, reported, folder, page })
     }
 }

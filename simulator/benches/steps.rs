@@ -7,10 +7,9 @@
 use std::time::Instant;
 
 use armarium_robot::{Kinematics, Lease, LeaseLimits, Limb};
-use armarium_simulator::carrying::{CarriedBox, Carrying};
 use armarium_simulator::physics::{External, Plant};
 use armarium_simulator::start::{self, MountedPad};
-use armarium_simulator::world::{NoiseSpec, PadSpec};
+use armarium_simulator::world::{BodySpec, PadSpec, Place};
 use armarium_simulator::{Options, Simulation, World};
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -82,8 +81,8 @@ fn wiping() {
 
 /// The physics alone: both hands hold a box between soft pads.
 fn carrying() {
-    let world = World::ideal();
-    let robots = start::robots(&world, 1, None).expect("the default robot is sound");
+    let mut world = World::ideal();
+    let mut robots = start::robots(&world, 1, None).expect("the default robot is sound");
     let model = robots[0].model.clone();
     let mut kinematics = Kinematics::new(&model);
     kinematics.update(&robots[0].position);
@@ -105,19 +104,23 @@ fn carrying() {
         }
     };
     let size = [(apart - 0.04).clamp(0.05, 1.0), 0.3, 0.24];
-    let carried = CarriedBox { mass: 1.5, size, at: middle.into(), pads: [mounted(0), mounted(1)] };
-    let q = robots[0].position.clone();
-    let mut scene =
-        Carrying::new(&model, &carried, &NoiseSpec::default(), &q, 1).expect("the default robot is sound");
-    let mut target = q.clone();
-    let still = vec![0.0; q.len()];
+    world.table.height = middle.z - size[2] / 2.0;
+    world.objects.clear();
+    let at = Place::At(middle.into());
+    world.bodies = vec![BodySpec { name: "box".into(), size, mass: 1.5, at, ..BodySpec::default() }];
+    robots[0].pads = vec![mounted(0), mounted(1)];
+    let start = robots[0].position.clone();
+    let mut target = start.clone();
     let joints: Vec<usize> = arms.iter().flat_map(|arm| arm.joints.iter().copied()).collect();
+    let mut plant = Plant::new(&world, robots).expect("the default robot is sound");
+    let still = vec![0.0; target.len()];
     measure("physics, both arms and a box between them", |t| {
         for (k, &joint) in joints.iter().enumerate() {
-            target[joint] = q[joint] + 0.002 * (3.0 * t + k as f64).sin();
+            target[joint] = start[joint] + 0.002 * (3.0 * t + k as f64).sin();
         }
-        scene.step(&target, &still);
+        plant.step(&[(&target, &still)], &External::default());
     });
+    assert!(plant.pads(0).all(|pad| pad.normal > 0.0), "both hands hold the box");
 }
 
 fn main() {

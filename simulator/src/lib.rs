@@ -4,14 +4,12 @@
 //! - [`physics`]: Rapier, grip and wrist sensor; on [`table`] and [`foundation`], the soft underside of objects.
 //! - [`start`]: where robots and bodies are at first. [`person`]: people who keep to a schedule.
 //! - [`coach`]: the person who demonstrates and coaches. [`cameras`], [`render`]: what the robot sees.
-//! - [`carrying`]: both arms and a box between their hands, an experiment besides the wiping.
 //! - [`truth`]: the true state, for recorder and [`referee`]; skills never see it.
 //!
 //! This room does not know skills, charts or memory.
 
 mod accidents;
 pub mod cameras;
-pub mod carrying;
 pub mod coach;
 mod error;
 pub mod foundation;

@@ -19,7 +19,7 @@ use super::settings::{Setting, Settings as _, settings};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Space {
-    /// Angles of the four joints, as in the paper's experiment.
+    /// Angles of the arm's joints, as in the paper's experiment.
     Joint,
     /// Coordinates of the hand.
     Task,

@@ -45,9 +45,8 @@ const FILTER: f64 = 20.0;
 const LEARNING: LearningControlConfig = LearningControlConfig { q: 1.0, l: 0.3, c: 0.3 };
 /// K1 of (10), m/s/N.
 const K1: f64 = 0.08;
-/// The weight of forces along the line between the hands, in which the load is stiff, and of moments, in 1/m^2.
+/// The weight of forces along the line between the hands, in which the load is stiff.
 const ALONG: f64 = 0.1;
-const MOMENTS: f64 = 15.0;
 /// An epoch in which the hands carry so much more or less than at rest, N and share of the weight, is disturbed from outside:
 /// it is not learned, but repeated, at most so often.
 const DISTURBED: (f64, f64) = (5.0, 0.3);
@@ -431,14 +430,14 @@ fn missing(rest: &Vector6<f64>, felt: &Vector6<f64>, step: &SharedLoadStep) -> V
     wanted - felt
 }
 
-/// A wrench whose force along the line between the hands counts less, and whose moments count more.
+/// A wrench whose force along the line between the hands counts less. Moments do not count: a hand that learns in its joints would
+/// turn until it feels none, and keep a wrong height.
 fn weighted(wrench: &Vector6<f64>, step: &SharedLoadStep) -> Vector6<f64> {
     let line = step.forces.line.into_inner();
     let mut weighted = *wrench;
     let along = wrench.fixed_rows::<3>(0).dot(&line);
     let mut force = weighted.fixed_rows_mut::<3>(0);
     force -= line * (along * (1.0 - ALONG));
-    let mut moment = weighted.fixed_rows_mut::<3>(3);
-    moment *= MOMENTS;
+    weighted.fixed_rows_mut::<3>(3).fill(0.0);
     weighted
 }
