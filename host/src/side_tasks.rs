@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::{Memory as _, Pattern, Query, Snapshot, WorkingMemory};
 use armarium_runtime::exec::Controller;
-use armarium_simulator::{Handle, KnownSurface, KnownThing};
+use armarium_simulator::{Handle, KnownHypothesis, KnownSurface, KnownThing};
 use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
@@ -48,10 +48,25 @@ pub(crate) async fn watch_perception(
                     referee.thing_known(clock(), snapshot.id.entity(), known);
                 }
             }
+            Ok(snapshot) if snapshot.id.segment() == "ObjectHypotheses" => {
+                let (stamp_ns, name) = (snapshot.referenced_ns, snapshot.id.entity());
+                referee.hypothesis_known(stamp_ns, name, hypothesis(&snapshot));
+            }
             Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(_) => return,
         }
     }
+}
+
+/// What memory takes for one thing in a picture; `None` of what it has dropped.
+fn hypothesis(snapshot: &Snapshot) -> Option<KnownHypothesis> {
+    let number = |value: &Value| value.as_f64().map(|number| number as u32);
+    let mask: Vec<u32> = snapshot.attribute("mask")?.as_list()?.iter().filter_map(number).collect();
+    Some(KnownHypothesis {
+        mask: mask.as_chunks().0.to_vec(),
+        confirmed: snapshot.attribute("confirmed").is_some_and(|value| *value == Value::Bool(true)),
+        class: snapshot.attribute("class").and_then(Value::as_str).map(str::to_owned),
+    })
 }
 
 /// A thing, as memory knows it; `None` of what is gone.

@@ -235,6 +235,15 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
                 "static, hand or object: how it moves between observations",
             )
             .optional("alternatives", numbers(), "confidences of other matches that were considered, 0 to 1"),
+        SegmentSchema::new("ObjectHypotheses", "What may be a thing of its own, of which nothing is known yet.")
+            .required("pose", Type::Pose, "pose of the middle of its box, m, z up, x along the longer edge")
+            .required("size", Type::list(metres()), "extent of that box along its x, y and z, m")
+            .required("color", numbers(), "its mean colour: red, green and blue, 0 to 255")
+            .required("points", Type::Bytes, "its upper surface, as `visionx` packs it")
+            .required("mask", Type::list(Type::Int), "its pixels in the left picture: row, first column, one past the last, ...")
+            .required("confirmed", Type::Bool, "whether it has moved as one")
+            .required("pushes", Type::Int, "how often it was pushed")
+            .optional("class", Type::String, "the learned class of which it is taken to be"),
         SegmentSchema::new("ObjectClasses", "What is known of a kind of thing before it is seen.")
             .required("color", numbers(), "red, green and blue, 0 to 255")
             .required("size", Type::list(metres()), "extent along the object's x, y and z, m")

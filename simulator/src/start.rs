@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use armarium_robot::{Joint, JointKind, Model};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Rotation2, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -164,8 +164,14 @@ fn mounted(spec: PadSpec, model: &Model) -> Vec<MountedPad> {
 pub fn bodies(world: &World, table: &TableTop) -> Vec<BodyStart> {
     let mut all: Vec<BodyStart> = Vec::new();
     for spec in world.named_bodies() {
-        let under = spec.on.as_ref().and_then(|on| all.iter().find(|body| body.spec.name == *on));
-        let room_from_body = under.map_or_else(|| room_from_body(&spec, table), |under| upon(&spec, under));
+        let named = |name: &Option<String>| {
+            name.as_ref().and_then(|name| all.iter().find(|body| body.spec.name == *name))
+        };
+        let room_from_body = match (named(&spec.on), named(&spec.beside)) {
+            (Some(under), _) => upon(&spec, under),
+            (None, Some(other)) => beside(&spec, other),
+            (None, None) => room_from_body(&spec, table),
+        };
         all.push(BodyStart { room_from_body, spec });
     }
     let inside: Vec<BodyStart> = all.iter().flat_map(contents).collect();
@@ -179,6 +185,36 @@ fn upon(spec: &BodySpec, under: &BodyStart) -> Isometry3<f64> {
     let [x, y] = spec.at.xy();
     let at = Vector3::new(x, y, under.spec.bears_at() + spec.half().z);
     under.room_from_body * Isometry3::from_parts(at.into(), yaw)
+}
+
+/// So far apart are bodies that touch, m, so that physics does not push them apart.
+const TOUCHING: f64 = 1e-4;
+
+/// A body that touches another one, and stands where that does.
+fn beside(spec: &BodySpec, other: &BodyStart) -> Isometry3<f64> {
+    let (turn, yaw) = (Rotation2::new(spec.yaw_deg.to_radians()), spec.yaw_deg.to_radians());
+    let own: Vec<Vector2<f64>> = spec.outline().into_iter().map(|corner| turn * corner).collect();
+    let direction = Vector2::from(spec.at.xy()).try_normalize(1e-9).unwrap_or_else(Vector2::x);
+    let at = direction * (until_apart(&other.spec.outline(), &own, &direction) + TOUCHING);
+    let up = spec.half().z - other.spec.half().z;
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    other.room_from_body * Isometry3::from_parts(at.push(up).into(), yaw)
+}
+
+/// How far a convex outline has to go in a direction until it is apart from another one; their corners go against the clock.
+fn until_apart(still: &[Vector2<f64>], moved: &[Vector2<f64>], direction: &Vector2<f64>) -> f64 {
+    let normals = |outline: &[Vector2<f64>], sign: f64| -> Vec<Vector2<f64>> {
+        let edges = outline.iter().zip(outline.iter().cycle().skip(1)).map(|(a, b)| b - a);
+        edges.map(|edge| Vector2::new(edge.y, -edge.x) * sign).collect()
+    };
+    let most = |outline: &[Vector2<f64>], n: &Vector2<f64>, sign: f64| {
+        outline.iter().map(|corner| n.dot(corner) * sign).fold(f64::NEG_INFINITY, f64::max)
+    };
+    // They touch where the way leaves the sum of the one and the mirrored other; its sides have the normals of both.
+    let all = normals(still, 1.0).into_iter().chain(normals(moved, -1.0));
+    all.filter(|n| n.dot(direction) > 1e-12)
+        .map(|n| (most(still, &n, 1.0) + most(moved, &n, -1.0)) / n.dot(direction))
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// A body that lies on the table stands as the table is tilted.
@@ -237,4 +273,40 @@ fn contents(holder: &BodyStart) -> Vec<BodyStart> {
         }
     };
     (0..contents.balls as usize).map(ball).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        /// Apart by the way that is said, and not by less.
+        #[test]
+        fn bodies_beside_each_other_touch(
+            (w, d, angle, yaw) in (0.03..0.2f64, 0.03..0.2f64, 0.0..6.28f64, 0.0..360.0f64), round in any::<bool>(),
+        ) {
+            let still = BodySpec { size: [0.08, 0.05, 0.06], ..BodySpec::default() };
+            let shape = if round { BodyShape::Cylinder } else { BodyShape::Box };
+            let moved = BodySpec { shape, size: [w, d, 0.1], diameter: w, ..BodySpec::default() };
+            let direction = Rotation2::new(angle) * Vector2::x();
+            let turn = Rotation2::new(f64::to_radians(yaw));
+            let own: Vec<Vector2<f64>> = moved.outline().into_iter().map(|corner| turn * corner).collect();
+            let way = until_apart(&still.outline(), &own, &direction);
+            let overlap = |way: f64| {
+                // By sampling: whether some point of the one is inside of the other.
+                let inside = |p: Vector2<f64>| p.x.abs() < 0.04 && p.y.abs() < 0.025;
+                (0..40).flat_map(|i| (0..40).map(move |j| (f64::from(i) / 39.0, f64::from(j) / 39.0))).any(|(u, v)| {
+                    let local = match round {
+                        true => Rotation2::new(u * 6.2832) * Vector2::new(v * w / 2.0, 0.0),
+                        false => Vector2::new((u - 0.5) * w, (v - 0.5) * d),
+                    };
+                    inside(turn * local + direction * way)
+                })
+            };
+            prop_assert!(!overlap(way + 1e-9), "apart after {way}");
+            prop_assert!(overlap(way - 0.006), "touching before {way}");
+        }
+    }
 }

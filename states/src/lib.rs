@@ -22,6 +22,7 @@ mod hand_eye;
 mod hand_motion;
 mod head;
 mod held;
+mod hypotheses;
 mod inputs;
 mod led;
 mod motions;

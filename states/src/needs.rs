@@ -11,7 +11,7 @@ pub struct Lack {
     pub skills: &'static [&'static str],
 }
 
-const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion", "PlayMotion"];
+const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion", "PlayMotion", "PushObject"];
 const HAND: &[&str] = &[
     "OpenHand",
     "CloseHand",
@@ -21,6 +21,8 @@ const HAND: &[&str] = &[
     "VerifyGrasp",
     "AttachObject",
     "CalibrateHandEye",
+    "ChoosePush",
+    "PushObject",
 ];
 const WRENCH: &[&str] = &[
     "Tare",
@@ -34,6 +36,7 @@ const WRENCH: &[&str] = &[
     "CarryTogether",
     "LearnTogether",
     "PutDownTogether",
+    "PushObject",
 ];
 const TWO_ARMS: &[&str] =
     &["SqueezeTogether", "BimanualVisualServo", "CarryTogether", "LearnTogether", "PutDownTogether"];

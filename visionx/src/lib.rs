@@ -9,6 +9,7 @@
 //!   colour and size. [`TabletopSegmentation`]: a table and the objects on it.
 //!   [`EnvironmentModel`]: tables, shelves, walls and the floor, fused over time. [`HandObserver`]: a person's hand, its
 //!   gesture and where it points.
+//! - [`segmentation`]: unknown things on a table, told apart by what moves together.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.
 //!   [`StereoStep`]: a tracker as a processing step. [`Sight`]: such a step at work on the pairs of this process.
@@ -44,6 +45,7 @@ pub mod providers;
 mod rectangle;
 #[cfg(test)]
 mod scenes;
+pub mod segmentation;
 mod sight;
 mod steps;
 mod tabletop;

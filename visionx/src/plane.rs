@@ -95,6 +95,13 @@ impl Plane {
         (self.axes.inverse() * (point - self.middle)).z
     }
 
+    /// The point of it that is vertically above or below a place, root frame, m; of a plane that is not upright.
+    pub(crate) fn over(&self, at: &Point2<f64>) -> Point3<f64> {
+        let normal = self.axes * Vector3::z();
+        let off = at.coords - self.middle.xy().coords;
+        Point3::new(at.x, at.y, self.middle.z - normal.xy().dot(&off) / normal.z)
+    }
+
     /// A point's coordinates along the plane's axes, m.
     pub(crate) fn flat(&self, point: &Point3<f64>) -> Point2<f64> {
         Point2::from((self.axes.inverse() * (point - self.middle)).xy())

@@ -61,6 +61,17 @@ pub struct KnownThing {
     pub seen_ns: u64,
 }
 
+/// What the robot's memory takes for one thing in a picture of the left eye.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct KnownHypothesis {
+    /// Its pixels: row, first column, and one past the last column.
+    pub mask: Vec<[u32; 3]>,
+    /// Whether it has moved as one.
+    pub confirmed: bool,
+    /// The learned class of which it is taken to be, if any.
+    pub class: Option<String>,
+}
+
 /// A time in which a running skill needed to know the place of a thing.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct NeededThing {
@@ -96,6 +107,8 @@ pub struct TruthLog {
     pub(super) surfaces: Vec<(u64, String, Option<KnownSurface>)>,
     /// What it told of things: when, ns, the thing's name, and what it knew.
     pub(super) things: Vec<(u64, String, KnownThing)>,
+    /// What it told of things that it tells apart in a picture: the picture's time, ns, the name, and `None` when it was dropped.
+    pub(super) hypotheses: Vec<(u64, String, Option<KnownHypothesis>)>,
     /// Which things the running skills needed.
     pub(super) needs: Vec<NeededThing>,
     /// The coach's events.

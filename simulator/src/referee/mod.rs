@@ -2,7 +2,7 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod carrying;
@@ -21,6 +21,7 @@ mod people;
 mod probes;
 mod reaching;
 mod run;
+mod segmentation;
 #[cfg(test)]
 mod tests;
 mod wiped;
@@ -29,7 +30,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::report::Section;
-pub use log::{KnownSurface, KnownThing, Record, TruthLog};
+pub use log::{KnownHypothesis, KnownSurface, KnownThing, Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
 pub use probes::judged_figures;
 use run::Run;
@@ -96,6 +97,8 @@ pub enum Milestone {
     PlayStarted,
     /// It has played it.
     PlayEnded,
+    /// The robot has pushed something to see what moves.
+    ObjectPushed,
 }
 
 impl Milestone {
@@ -126,6 +129,7 @@ impl Milestone {
             "pre_pose_left" => Self::PrePoseLeft,
             "play_started" => Self::PlayStarted,
             "play_ended" => Self::PlayEnded,
+            "object_pushed" => Self::ObjectPushed,
             _ => return None,
         })
     }
@@ -203,6 +207,14 @@ impl Referee {
         let mut notes = self.notes();
         if notes.log.things.len() < log::MAX_FRAMES {
             notes.log.things.push((stamp_ns, name.to_owned(), known));
+        }
+    }
+
+    /// Records what the robot's memory takes for one thing in the picture of `stamp_ns`, by its name there; `None` when it was dropped.
+    pub fn hypothesis_known(&self, stamp_ns: u64, name: &str, known: Option<KnownHypothesis>) {
+        let mut notes = self.notes();
+        if notes.log.hypotheses.len() < log::MAX_FRAMES {
+            notes.log.hypotheses.push((stamp_ns, name.to_owned(), known));
         }
     }
 

@@ -11,7 +11,7 @@ use armarium_robot::description::mesh_file;
 use armarium_robot::{Geometry, Visual};
 use armarium_source::yaml::{Node, Yaml};
 use armarium_source::{Field, Findings, Rule, choice, code, form};
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Rotation2, UnitQuaternion, Vector2, Vector3};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
@@ -23,6 +23,8 @@ const MAX_HANDLES: usize = 16;
 const MAX_BALLS: f64 = 100.0;
 /// Number of flat pieces that make a cup's wall.
 const STAVES: u32 = 12;
+/// Corners of the outline of what is round.
+const ROUND: u32 = 64;
 /// How far below a handle's top a hand grips it from above, m.
 const BELOW_TOP: f64 = 0.03;
 /// Diameter and height of a handle, m.
@@ -74,8 +76,16 @@ form! {
         /// The body on which it stands, a tray's bottom or another's top; `at: [x, y]` and `yaw_deg` are in that body's frame then.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub on: Option<String> = None, Rule::NAME;
+        /// The body that it touches: it stands beside that one, on the same surface. `at: [x, y]` is the direction from that one's middle
+        /// to its own, and that and `yaw_deg` are in that body's frame then.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub beside: Option<String> = None, Rule::NAME;
         /// Colour, RGB.
         pub color: [u8; 3] = [120, 140, 170], COLOR;
+        /// Into how many stripes a box (along x) or a cylinder (along z) is divided, of its two colours in turn.
+        pub stripes: u32 = 1, Rule::number("", 1.0, 20.0);
+        /// Colour of every second stripe, RGB.
+        pub stripe_color: [u8; 3] = [235, 235, 225], COLOR;
         /// Colour of its handles, RGB; without it, that of the rest.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub handle_color: Option<[u8; 3]> = None, COLOR;
@@ -275,6 +285,20 @@ impl BodySpec {
         if axes.iter().flatten().any(|axis| Vector3::from(*axis).norm() < 1e-3) {
             wrong("hinge", format!("the axis of body `{}` has no direction", self.name), "axis: [0, 0, 1]");
         }
+        if self.on.is_some() && self.beside.is_some() {
+            wrong(
+                "beside",
+                format!("body `{}` stands on a body and beside one", self.name),
+                "one of `on` and `beside`",
+            );
+        }
+        if self.stripes > 1 && !matches!(self.shape, BodyShape::Box | BodyShape::Cylinder) {
+            wrong(
+                "stripes",
+                format!("body `{}` cannot have stripes", self.name),
+                "only a box and a cylinder can",
+            );
+        }
         let wide = match self.shape {
             BodyShape::Tray => self.size[0].min(self.size[1]).min(2.0 * self.size[2]),
             BodyShape::Cup => self.diameter.min(2.0 * self.height),
@@ -340,13 +364,13 @@ impl BodySpec {
         let cuboid = |size: Vector3<f64>, at: Vector3<f64>| part(Geometry::Box { size }, at);
         let size = Vector3::from(self.size);
         let mut parts = match self.shape {
-            BodyShape::Box | BodyShape::Bar => vec![cuboid(size, Vector3::zeros())],
-            BodyShape::Cylinder => {
-                vec![part(
-                    Geometry::Cylinder { radius: self.diameter / 2.0, length: self.height },
-                    Vector3::zeros(),
-                )]
-            }
+            BodyShape::Bar => vec![cuboid(size, Vector3::zeros())],
+            BodyShape::Box => self.striped(size.x, Vector3::x(), &|width, at| {
+                part(Geometry::Box { size: Vector3::new(width, size.y, size.z) }, at)
+            }),
+            BodyShape::Cylinder => self.striped(self.height, Vector3::z(), &|length, at| {
+                part(Geometry::Cylinder { radius: self.diameter / 2.0, length }, at)
+            }),
             BodyShape::Sphere => {
                 vec![part(Geometry::Sphere { radius: self.diameter / 2.0 }, Vector3::zeros())]
             }
@@ -396,6 +420,38 @@ impl BodySpec {
     pub(crate) fn bears_at(&self) -> f64 {
         let half = self.half().z;
         if self.shape == BodyShape::Tray { self.wall - half } else { half }
+    }
+
+    /// The stripes along an axis on which its whole length is `length` m.
+    fn striped(
+        &self,
+        length: f64,
+        axis: Vector3<f64>,
+        part: &dyn Fn(f64, Vector3<f64>) -> Visual,
+    ) -> Vec<Visual> {
+        let width = length / f64::from(self.stripes);
+        let stripe = |n: u32| {
+            let at = axis * (width * (f64::from(n) + 0.5) - length / 2.0);
+            let color = if n % 2 == 0 { self.color } else { self.stripe_color };
+            Visual { color, ..part(width, at) }
+        };
+        (0..self.stripes).map(stripe).collect()
+    }
+
+    /// The corners of a convex outline around it as seen from above, m, about its middle, against the clock.
+    pub(crate) fn outline(&self) -> Vec<Vector2<f64>> {
+        let half = self.half();
+        match self.shape {
+            BodyShape::Cylinder | BodyShape::Sphere | BodyShape::Cup => {
+                let corner = |n: u32| Rotation2::new(TAU * f64::from(n) / f64::from(ROUND)) * Vector2::x();
+                // Around the circle, not in it.
+                let radius = half.x / (TAU / f64::from(ROUND) / 2.0).cos();
+                (0..ROUND).map(|n| corner(n) * radius).collect()
+            }
+            _ => [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
+                .map(|(x, y)| Vector2::new(x * half.x, y * half.y))
+                .to_vec(),
+        }
     }
 
     /// The mesh about its middle.

@@ -52,7 +52,7 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 14] = [
+pub const PROBES: [&str; 15] = [
     "grasp",
     "imitation",
     "force",
@@ -67,6 +67,7 @@ pub const PROBES: [&str; 14] = [
     "learning_together",
     "environment",
     "gaze",
+    "segmentation",
 ];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
@@ -504,12 +505,15 @@ impl World {
         for (i, body) in self.bodies.iter().enumerate() {
             let before =
                 || self.objects.iter().map(|o| &o.name).chain(self.bodies[..i].iter().map(|b| &b.name));
-            if let Some(on) = &body.on
-                && !before().any(|name| name == on)
-            {
-                let message = format!("`{}` stands on `{on}`, which is no body before it", body.name);
-                let help = Some(format!("name `{on}` above it in the list"));
-                findings.error_help(code::REFERENCE, place(root, "bodies", i, "on"), message, help);
+            for (key, other) in [("on", &body.on), ("beside", &body.beside)] {
+                if let Some(other) = other
+                    && !before().any(|name| name == other)
+                {
+                    let message =
+                        format!("`{}` stands {key} `{other}`, which is no body before it", body.name);
+                    let help = Some(format!("name `{other}` above it in the list"));
+                    findings.error_help(code::REFERENCE, place(root, "bodies", i, key), message, help);
+                }
             }
         }
         for (probe, node) in self.probes.iter().zip(root.get("probes").map_or(&[][..], Node::items)) {

@@ -4,6 +4,7 @@ mod attach_object;
 mod bimanual_servo;
 mod calibrate_hand_eye;
 mod carry_together;
+mod choose_push;
 mod close_hand;
 mod execute_motion;
 mod follow_object;
@@ -27,10 +28,12 @@ mod movement_imitation;
 mod open_hand;
 mod plan_grasp;
 mod play_motion;
+mod push_object;
 mod put_down_together;
 mod recall_motion;
 mod recall_object;
 mod reset_stop;
+mod segment_scene;
 mod shape_hand;
 mod squeeze_together;
 mod tare;
@@ -86,5 +89,8 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(put_down_together::skill(equipment)),
         Arc::new(vision_coaching::skill(equipment)),
         Arc::new(gaze_selection::skill(equipment)),
+        Arc::new(segment_scene::skill(equipment)),
+        Arc::new(choose_push::skill(equipment)),
+        Arc::new(push_object::skill(equipment)),
     ]
 }

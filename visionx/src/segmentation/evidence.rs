@@ -1,0 +1,208 @@
+//! What hypotheses become after something was pushed: kept, split, merged, dropped.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::Isometry2;
+
+use super::hypothesis::{Hypothesis, LEAST, of_rest, spread};
+use super::labels::{STAYED, labels};
+use super::motion::Change;
+use super::top_view::{Known, Place, TopCell, TopView, around, middle_of, place_of};
+
+/// Fewer changed cells are noise.
+const CHANGED: usize = 20;
+/// Most motions after one push.
+const MOTIONS: usize = 4;
+/// A motion that brings the middle of what moved less far than this, m, and turns it less, rad, is rejected.
+const LITTLE: (f64, f64) = (0.010, 0.10);
+/// A part of a hypothesis with less than this share of it is no part.
+const PART: f64 = 0.12;
+/// Parts with as many cells between them moved as one thing.
+const TOGETHER: i32 = 4;
+/// Room around what is compared, cells.
+const MARGIN: i32 = 50;
+
+/// A part of a hypothesis that made one motion.
+struct Part {
+    of: usize,
+    label: usize,
+    cells: BTreeMap<Place, TopCell>,
+}
+
+/// What `known` becomes by a look at the table after `pushed` was pushed; new hypotheses are named from `next` on.
+///
+/// What has moved by one motion is one thing, and confirmed if all around it did otherwise; a hypothesis of which a part moved and a part did
+/// not is split; what is not there any more is dropped.
+pub fn told_apart(
+    known: &[Hypothesis],
+    after: &TopView,
+    pushed: Option<&str>,
+    next: &mut usize,
+) -> Vec<Hypothesis> {
+    let before = remembered(known, after);
+    let change = Change::between(&before, after);
+    let motions = motions(&change);
+    let parts: Vec<Part> = known
+        .iter()
+        .enumerate()
+        .flat_map(|(of, hypothesis)| parts(of, hypothesis, &change, &motions))
+        .collect();
+    let mut things = things(known, parts, next);
+    for (thing, _) in &mut things {
+        thing.pushes += u32::from(pushed == Some(&thing.name));
+    }
+    seen_again(things, &motions, after, next)
+}
+
+/// What hypotheses say of the table, over what was seen of it later; where they say nothing it was free.
+fn remembered(known: &[Hypothesis], after: &TopView) -> TopView {
+    let places = || known.iter().flat_map(|hypothesis| hypothesis.cells.keys()).chain([]);
+    let extent = |f: fn(&Place) -> i32| {
+        let all = places().copied().chain(after.occupied().map(|(place, _)| place));
+        all.map(|place| f(&place)).fold((i32::MAX, i32::MIN), |(a, b), v| (a.min(v), b.max(v)))
+    };
+    let (x, y) = (extent(|place| place.0), extent(|place| place.1));
+    if x.0 > x.1 {
+        return TopView::unknown((0, 0), (-1, -1));
+    }
+    let (low, high) = ((x.0 - MARGIN, y.0 - MARGIN), (x.1 + MARGIN, y.1 + MARGIN));
+    let mut view = TopView::unknown(low, high);
+    for place in (low.1..=high.1).flat_map(|y| (low.0..=high.0).map(move |x| (x, y))) {
+        view.set(place, Known::Free);
+    }
+    for (place, top) in known.iter().flat_map(|hypothesis| &hypothesis.cells) {
+        view.set(*place, Known::Occupied(*top));
+    }
+    view
+}
+
+/// The motions that explain a change, the one that explains the most first.
+fn motions(change: &Change<'_>) -> Vec<Isometry2<f64>> {
+    let mut motions = Vec::new();
+    let mut left = change.without(&Isometry2::identity());
+    while left.size() >= CHANGED && motions.len() < MOTIONS {
+        let Some(motion) = left.best_motion() else { break };
+        let rest = left.without(&motion);
+        if left.size() - rest.size() < CHANGED {
+            break;
+        }
+        let middle = super::top_view::mean_of(left.gone.iter().map(|gone| gone.place));
+        let way = middle.map_or(0.0, |middle| (motion * middle - middle).norm());
+        if way > LITTLE.0 || motion.rotation.angle().abs() > LITTLE.1 {
+            motions.push(motion);
+        }
+        left = rest;
+    }
+    motions
+}
+
+/// The parts of a hypothesis that made different motions; what is too small for a part goes with the largest.
+fn parts(of: usize, hypothesis: &Hypothesis, change: &Change<'_>, motions: &[Isometry2<f64>]) -> Vec<Part> {
+    let labels = labels(&hypothesis.cells, change, motions);
+    let mut by_label: BTreeMap<usize, BTreeMap<Place, TopCell>> = BTreeMap::new();
+    for (place, label) in &labels {
+        by_label.entry(*label).or_default().insert(*place, hypothesis.cells[place]);
+    }
+    let least = LEAST.max((hypothesis.cells.len() as f64 * PART) as usize);
+    let Some(largest) = by_label.iter().max_by_key(|(_, cells)| cells.len()).map(|(label, _)| *label) else {
+        return Vec::new();
+    };
+    let (whole, small): (Vec<_>, Vec<_>) =
+        by_label.into_iter().partition(|(label, cells)| *label == largest || cells.len() >= least);
+    let mut parts: Vec<Part> = whole.into_iter().map(|(label, cells)| Part { of, label, cells }).collect();
+    if let Some(main) = parts.iter_mut().find(|part| part.label == largest) {
+        main.cells.extend(small.into_iter().flat_map(|(_, cells)| cells));
+    }
+    parts
+}
+
+/// The things that parts are, each with its motion: parts with one motion that are near each other are one.
+fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypothesis, usize)> {
+    let is_split: BTreeSet<usize> = parts
+        .iter()
+        .filter(|a| parts.iter().any(|b| a.of == b.of && a.label != b.label))
+        .map(|part| part.of)
+        .collect();
+    // A part that keeps the name of its hypothesis: the largest.
+    let mut largest: BTreeMap<usize, usize> = BTreeMap::new();
+    for part in &parts {
+        let most = largest.entry(part.of).or_default();
+        *most = (*most).max(part.cells.len());
+    }
+    let mut named = BTreeSet::new();
+    let mut things: Vec<(Hypothesis, usize)> = Vec::new();
+    for part in parts {
+        let whole = &known[part.of];
+        let moved = part.label != STAYED;
+        let joined = moved && !whole.confirmed;
+        let other = things.iter_mut().find(|(thing, label)| {
+            joined
+                && *label == part.label
+                && !thing.confirmed_before(known)
+                && thing.is_near(&part.cells, TOGETHER)
+        });
+        if let Some((thing, _)) = other {
+            thing.cells.extend(part.cells);
+            thing.pushes = thing.pushes.max(whole.pushes);
+            continue;
+        }
+        let keeps = part.cells.len() == largest[&part.of] && named.insert(part.of);
+        let name = if keeps { whole.name.clone() } else { fresh(next) };
+        let confirmed = moved || (whole.confirmed && !is_split.contains(&part.of));
+        let pushes = if keeps { whole.pushes } else { 0 };
+        things.push((Hypothesis { name, cells: part.cells, confirmed, pushes }, part.label));
+    }
+    things
+}
+
+fn fresh(next: &mut usize) -> String {
+    *next += 1;
+    format!("thing_{next}")
+}
+
+impl Hypothesis {
+    /// Whether it was confirmed before this push.
+    fn confirmed_before(&self, known: &[Hypothesis]) -> bool {
+        known.iter().any(|before| before.name == self.name && before.confirmed)
+    }
+}
+
+/// The things with the surfaces that were seen now, and what is new. What is hidden now is where it should be.
+fn seen_again(
+    things: Vec<(Hypothesis, usize)>,
+    motions: &[Isometry2<f64>],
+    after: &TopView,
+    next: &mut usize,
+) -> Vec<Hypothesis> {
+    let surface: BTreeMap<Place, TopCell> =
+        after.occupied().filter(|(place, top)| after.is_surface(*place, top)).collect();
+    let mut expected: BTreeMap<Place, (usize, f64)> = BTreeMap::new();
+    for (i, (thing, label)) in things.iter().enumerate() {
+        let motion = label.checked_sub(1).map_or_else(Isometry2::identity, |k| motions[k]);
+        for (place, top) in &thing.cells {
+            let at = motion * middle_of(*place);
+            for near in around(place_of(&at), 1) {
+                let off = (middle_of(near) - at).norm();
+                let fits = surface.get(&near).is_some_and(|seen| seen.is_like(top));
+                if fits && expected.get(&near).is_none_or(|(_, before)| off < *before) {
+                    expected.insert(near, (i, off));
+                }
+            }
+        }
+    }
+    let mut of: BTreeMap<Place, usize> = expected.into_iter().map(|(place, (i, _))| (place, i)).collect();
+    let sources = |of: &BTreeMap<Place, usize>| of.iter().map(|(place, i)| (*place, *i)).collect();
+    let alike = |a: Place, b: Place| surface.get(&a).zip(surface.get(&b)).is_some_and(|(a, b)| a.is_like(b));
+    of.extend(spread(sources(&of), alike));
+    let new = of_rest(after, &of.keys().copied().collect(), next);
+    let taken: BTreeSet<Place> = new.iter().flat_map(|thing| thing.cells.keys().copied()).collect();
+    of.extend(spread(sources(&of), |_, to| surface.contains_key(&to) && !taken.contains(&to)));
+    let mut again: Vec<Hypothesis> =
+        things.into_iter().map(|(thing, _)| Hypothesis { cells: BTreeMap::new(), ..thing }).collect();
+    for (place, i) in of {
+        again[i].cells.insert(place, surface[&place]);
+    }
+    again.retain(|thing| thing.cells.len() >= LEAST);
+    again.extend(new);
+    again
+}
