@@ -250,7 +250,9 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
             .required("recognition", Type::String, "the method that finds it in images")
             .optional("mass", Type::quantity(Unit::KG), "mass, kg")
             .optional("description", Type::String, "a sentence for people")
-            .optional("grasps", Type::list(grasp()), "hand poses in the object's frame"),
+            .optional("grasps", Type::list(grasp()), "hand poses in the object's frame")
+            .optional("appearance", numbers(), "of a learned one: by what it is known again, as `visionx` says")
+            .optional("points", Type::Bytes, "of a learned one: its upper surface where it was learned, as `visionx` packs it"),
         SegmentSchema::new("ObjectRelations", "How things stand to each other.")
             .required("subject", Type::String, "address of the one")
             .required("relation", Type::String, "on, in, near, left_of ...")

@@ -1,9 +1,10 @@
 //! What may be things of their own, in memory: read from and written to the core segment `ObjectHypotheses`.
 
-use armarium_memoryx::{Commit, EntityId, Instance, Snapshot};
+use armarium_memoryx::{Commit, EntityId, Instance, Snapshot, modify};
 use armarium_runtime::skill::Failure;
 use armarium_values::{Observation, Value};
-use armarium_visionx::segmentation::Hypothesis;
+use armarium_visionx::segmentation::{Appearance, Hypothesis};
+use nalgebra::Isometry3;
 
 use crate::equipment::Equipment;
 use crate::motions::failed;
@@ -11,10 +12,20 @@ use crate::motions::failed;
 /// The core segment.
 const HYPOTHESES: &str = "ObjectHypotheses";
 
+/// The provider of the classes that were learned.
+pub(crate) const LEARNED: &str = "learned";
+
 /// A hypothesis, with its address and what else memory says of it.
 pub(crate) struct KnownHypothesis {
     pub(crate) id: EntityId,
     pub(crate) hypothesis: Hypothesis,
+    /// The pose of the middle of its box, root frame, and the edges of that, m.
+    pub(crate) pose: Isometry3<f64>,
+    pub(crate) size: [f64; 3],
+    /// The learned class of which it is taken to be.
+    pub(crate) class: Option<String>,
+    /// When it was seen, ns.
+    pub(crate) seen_ns: u64,
     /// The height of the table under it, root frame, m.
     pub(crate) table: f64,
 }
@@ -31,9 +42,18 @@ fn read(equipment: &Equipment, known: &Snapshot) -> Option<KnownHypothesis> {
     let mut hypothesis = Hypothesis::unpacked(known.id.entity(), points);
     hypothesis.confirmed = matches!(known.attribute("confirmed")?, Value::Bool(true));
     hypothesis.pushes = known.attribute("pushes")?.as_f64()? as u32;
-    let [.., height] = known.attribute("size")?.as_vector3()?;
-    let table = equipment.remembered().root_pose(known)?.translation.z - height / 2.0;
-    Some(KnownHypothesis { id: known.id.clone(), hypothesis, table })
+    let (pose, size) = (equipment.remembered().root_pose(known)?, known.attribute("size")?.as_vector3()?);
+    let class = known.attribute("class").and_then(Value::as_str).map(str::to_owned);
+    let table = pose.translation.z - size[2] / 2.0;
+    Some(KnownHypothesis {
+        id: known.id.clone(),
+        hypothesis,
+        pose,
+        size,
+        class,
+        seen_ns: known.referenced_ns,
+        table,
+    })
 }
 
 /// The largest number that a hypothesis of this agent has had in its name.
@@ -61,4 +81,30 @@ pub(crate) async fn write(
     commits.extend(removals);
     equipment.memory.commit(commits).await.map_err(failed)?;
     Ok(())
+}
+
+/// Writes of which learned class a hypothesis is.
+pub(crate) async fn name_class(
+    equipment: &Equipment,
+    known: &KnownHypothesis,
+    class: &str,
+) -> Result<(), Failure> {
+    let named = |now: Option<&Snapshot>| {
+        let mut attributes = now?.instance()?.attributes.to_map();
+        attributes.insert("class".into(), Value::from(class));
+        Some(attributes)
+    };
+    modify(&*equipment.memory, &known.id, known.seen_ns, named).await.map_err(failed)?;
+    Ok(())
+}
+
+/// The learned classes, and by what each is known again.
+pub(crate) async fn learned(equipment: &Equipment) -> Result<Vec<(String, Appearance)>, Failure> {
+    let classes = equipment.memory.segment("ObjectClasses").await.map_err(failed)?;
+    let learned = classes.iter().filter(|class| class.id.provider() == LEARNED);
+    let appearance = |class: &Snapshot| {
+        let numbers = class.attribute("appearance")?.as_list()?.iter().filter_map(Value::as_f64);
+        Appearance::from_numbers(&numbers.collect::<Vec<_>>())
+    };
+    Ok(learned.filter_map(|class| Some((class.id.entity().to_owned(), appearance(class)?))).collect())
 }

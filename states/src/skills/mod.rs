@@ -15,6 +15,7 @@ mod gaze_selection;
 mod hold_still;
 mod imitate_motion;
 mod keep_motion;
+mod learn_things;
 mod learn_together;
 mod locate_object;
 mod look_around;
@@ -32,6 +33,7 @@ mod push_object;
 mod put_down_together;
 mod recall_motion;
 mod recall_object;
+mod recognize_things;
 mod reset_stop;
 mod segment_scene;
 mod shape_hand;
@@ -92,5 +94,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(segment_scene::skill(equipment)),
         Arc::new(choose_push::skill(equipment)),
         Arc::new(push_object::skill(equipment)),
+        Arc::new(learn_things::skill(equipment)),
+        Arc::new(recognize_things::skill(equipment)),
     ]
 }

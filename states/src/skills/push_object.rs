@@ -27,7 +27,7 @@ const RESTS: f64 = 0.2;
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PushObject",
-        "Pushes something on a table with the closed fingers from one place to another, until that or the largest force is reached, and rises. Tare before.",
+        "Pushes something on a table with the closed fingers from one place to another, until that or the largest force is reached, and rises.",
     )
     .input("from", Type::list(Type::FLOAT), "Where the fingers come down (x, y), root frame, m.")
     .input("to", Type::list(Type::FLOAT), "Where the push ends (x, y), root frame, m.")

@@ -7,7 +7,7 @@ use nalgebra::Isometry2;
 use super::hypothesis::{Hypothesis, LEAST, of_rest, spread};
 use super::labels::{STAYED, labels};
 use super::motion::Change;
-use super::top_view::{Known, Place, TopCell, TopView, around, middle_of, place_of};
+use super::top_view::{Known, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
 
 /// Fewer changed cells are noise.
 const CHANGED: usize = 20;
@@ -56,7 +56,7 @@ pub fn told_apart(
 
 /// What hypotheses say of the table, over what was seen of it later; where they say nothing it was free.
 fn remembered(known: &[Hypothesis], after: &TopView) -> TopView {
-    let places = || known.iter().flat_map(|hypothesis| hypothesis.cells.keys()).chain([]);
+    let places = || known.iter().flat_map(|hypothesis| hypothesis.cells.keys());
     let extent = |f: fn(&Place) -> i32| {
         let all = places().copied().chain(after.occupied().map(|(place, _)| place));
         all.map(|place| f(&place)).fold((i32::MAX, i32::MIN), |(a, b), v| (a.min(v), b.max(v)))
@@ -86,7 +86,7 @@ fn motions(change: &Change<'_>) -> Vec<Isometry2<f64>> {
         if left.size() - rest.size() < CHANGED {
             break;
         }
-        let middle = super::top_view::mean_of(left.gone.iter().map(|gone| gone.place));
+        let middle = mean_of(left.gone.iter().map(|gone| gone.place));
         let way = middle.map_or(0.0, |middle| (motion * middle - middle).norm());
         if way > LITTLE.0 || motion.rotation.angle().abs() > LITTLE.1 {
             motions.push(motion);
@@ -96,24 +96,17 @@ fn motions(change: &Change<'_>) -> Vec<Isometry2<f64>> {
     motions
 }
 
-/// The parts of a hypothesis that made different motions; what is too small for a part goes with the largest.
+/// The parts of a hypothesis that made different motions. One that is confirmed has no parts.
 fn parts(of: usize, hypothesis: &Hypothesis, change: &Change<'_>, motions: &[Isometry2<f64>]) -> Vec<Part> {
-    let labels = labels(&hypothesis.cells, change, motions);
-    let mut by_label: BTreeMap<usize, BTreeMap<Place, TopCell>> = BTreeMap::new();
-    for (place, label) in &labels {
-        by_label.entry(*label).or_default().insert(*place, hypothesis.cells[place]);
-    }
-    let least = LEAST.max((hypothesis.cells.len() as f64 * PART) as usize);
-    let Some(largest) = by_label.iter().max_by_key(|(_, cells)| cells.len()).map(|(label, _)| *label) else {
-        return Vec::new();
+    let least = match hypothesis.confirmed {
+        true => usize::MAX,
+        false => LEAST.max((hypothesis.cells.len() as f64 * PART) as usize),
     };
-    let (whole, small): (Vec<_>, Vec<_>) =
-        by_label.into_iter().partition(|(label, cells)| *label == largest || cells.len() >= least);
-    let mut parts: Vec<Part> = whole.into_iter().map(|(label, cells)| Part { of, label, cells }).collect();
-    if let Some(main) = parts.iter_mut().find(|part| part.label == largest) {
-        main.cells.extend(small.into_iter().flat_map(|(_, cells)| cells));
+    let mut parts: BTreeMap<usize, BTreeMap<Place, TopCell>> = BTreeMap::new();
+    for (place, label) in labels(&hypothesis.cells, change, (motions, least)) {
+        parts.entry(label).or_default().insert(place, hypothesis.cells[&place]);
     }
-    parts
+    parts.into_iter().map(|(label, cells)| Part { of, label, cells }).collect()
 }
 
 /// The things that parts are, each with its motion: parts with one motion that are near each other are one.

@@ -10,6 +10,9 @@ use crate::rectangle::Rectangle;
 
 /// Fewer cells are no thing.
 pub(super) const LEAST: usize = 14;
+/// What touches in at least so many cells and differs in height by less than this, m, is taken for one thing at first.
+const BORDER: usize = 5;
+const LEVEL: f64 = 0.0015;
 /// Bytes of a packed cell: column, row, height in 0.1 mm (two each), and three of colour.
 const PACKED: usize = 9;
 
@@ -129,12 +132,37 @@ pub(super) fn of_rest(view: &TopView, taken: &BTreeSet<Place>, next: &mut usize)
             found[of].insert(place, *top);
         }
     }
+    let mut found = level_joined(found);
     found.sort_by_key(|cells| std::cmp::Reverse(cells.len()));
     let named = |cells| {
         *next += 1;
         Hypothesis::new(format!("thing_{next}"), cells)
     };
     found.into_iter().map(named).collect()
+}
+
+/// Joins what is of one height and touches: most of it is one thing with several colours.
+fn level_joined(found: Vec<BTreeMap<Place, TopCell>>) -> Vec<BTreeMap<Place, TopCell>> {
+    let mean = |cells: &BTreeMap<Place, TopCell>| {
+        cells.values().map(|top| top.height).sum::<f64>() / cells.len().max(1) as f64
+    };
+    let mut joined: Vec<(Vec<f64>, BTreeMap<Place, TopCell>)> = Vec::new();
+    for cells in found {
+        let (mut heights, mut all) = (vec![mean(&cells)], cells);
+        let is_one = |(others, other): &(Vec<f64>, BTreeMap<Place, TopCell>)| {
+            let level = others.iter().any(|other| heights.iter().any(|own| (own - other).abs() < LEVEL));
+            let touching = |place: &&Place| around(**place, 1).any(|near| other.contains_key(&near));
+            level && all.keys().filter(touching).count() >= BORDER
+        };
+        let (same, rest): (Vec<_>, Vec<_>) = joined.into_iter().partition(is_one);
+        for (others, other) in same {
+            heights.extend(others);
+            all.extend(other);
+        }
+        joined = rest;
+        joined.push((heights, all));
+    }
+    joined.into_iter().map(|(_, cells)| cells).collect()
 }
 
 /// Spreads labels from cells to cells around them to which the way is open, the nearest first; gives the cells that were reached.

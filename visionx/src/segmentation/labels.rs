@@ -1,65 +1,125 @@
 //! Which cell made which motion.
 //!
-//! A cell that is gone has moved by the motion that finds it again; one whose place after a motion is free has not made that motion; one where
-//! something is that cannot have come by a motion has stayed. What may have stayed or moved, as in the middle of a plain surface that slid by
-//! less than its own length, did as the nearest cell of the same surface that is decided.
+//! A cell that is gone has moved by a motion that finds it again; one whose place after a motion is free has not made that motion; one where
+//! something is that cannot have come by a motion has stayed; and what has come where nothing was has come from somewhere. What may still have
+//! done several things, as the middle of a surface that slid by less than its own length, did as the nearest decided cell. The simplest
+//! explanation counts: what few cells need, none has done.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Isometry2;
 
 use super::hypothesis::spread;
 use super::motion::{Change, Feature, matches};
-use super::top_view::{Place, TopCell};
+use super::top_view::{Place, TopCell, around, middle_of, place_of};
 
 /// Stayed where it was; motions count from 1.
 pub(super) const STAYED: usize = 0;
 
-/// The motion of each cell: [`STAYED`], or one more than the index of its motion.
+/// The motion of each cell: [`STAYED`], or one more than the index of its motion. Each motion is needed by at least `least` cells that
+/// none of the others explains; where that is not so of any, all cells made the one that the most cells need.
 pub(super) fn labels(
     cells: &BTreeMap<Place, TopCell>,
     change: &Change<'_>,
-    motions: &[Isometry2<f64>],
+    (motions, least): (&[Isometry2<f64>], usize),
 ) -> BTreeMap<Place, usize> {
-    let mut decided: BTreeMap<Place, usize> = cells
+    let possible: BTreeMap<Place, BTreeSet<usize>> =
+        cells.iter().map(|(place, top)| (*place, possible(*place, top, change, motions))).collect();
+    let needed = needed(&possible, motions.len(), least);
+    let mut decided: BTreeMap<Place, usize> = possible
         .iter()
-        .filter_map(|(place, top)| Some((*place, decision(*place, top, change, motions)?)))
+        .filter_map(|(place, labels)| Some((*place, only(&(labels & &needed))?)))
         .collect();
-    let alike = |a: Place, b: Place| cells.get(&a).zip(cells.get(&b)).is_some_and(|(a, b)| a.is_like(b));
-    let sources =
-        |decided: &BTreeMap<Place, usize>| decided.iter().map(|(place, label)| (*place, *label)).collect();
-    decided.extend(spread(sources(&decided), alike));
-    decided.extend(spread(sources(&decided), |_, to| cells.contains_key(&to)));
+    fill(&mut decided, cells);
+    // Specks go with what is around them.
+    let specks = specks(&decided, least);
+    if specks.len() < decided.len() {
+        decided.retain(|place, _| !specks.contains(place));
+        fill(&mut decided, cells);
+    }
     for place in cells.keys() {
         decided.entry(*place).or_insert(STAYED);
     }
     decided
 }
 
-/// The motion of a cell, where there is no other.
-fn decision(place: Place, top: &TopCell, change: &Change<'_>, motions: &[Isometry2<f64>]) -> Option<usize> {
+/// What a cell may have done.
+fn possible(
+    place: Place,
+    top: &TopCell,
+    change: &Change<'_>,
+    motions: &[Isometry2<f64>],
+) -> BTreeSet<usize> {
     let feature = Feature { place, top: *top, edge: false };
-    let can_stay = change.after.shows(place, top);
-    let can_move: Vec<usize> =
-        (0..motions.len()).filter(|&k| matches(change.after, &motions[k], &feature)).collect();
-    if !can_stay {
-        return match can_move[..] {
-            [only] => Some(only + 1),
-            _ => None,
-        };
+    let moves = (1..=motions.len()).filter(|label| matches(change.after, &motions[label - 1], &feature));
+    let moves: BTreeSet<usize> = moves.collect();
+    if !change.after.shows(place, top) {
+        return moves;
     }
     // What is here now must have come by some motion, if it has not stayed.
-    let could_come = motions.iter().any(|motion| matches(change.before, &motion.inverse(), &feature));
-    if can_move.is_empty() || !could_come {
-        return Some(STAYED);
+    if !motions.iter().any(|motion| matches(change.before, &motion.inverse(), &feature)) {
+        return BTreeSet::from([STAYED]);
     }
-    // Where nothing was before, something has come: by this motion, from here.
-    let came = |k: &&usize| {
-        let there = super::top_view::place_of(&(motions[**k] * super::top_view::middle_of(place)));
+    // What has come where nothing was before has come from here.
+    let came = |label: &usize| {
+        let there = place_of(&(motions[label - 1] * middle_of(place)));
         !change.before.shows(there, top)
     };
-    match can_move.iter().filter(came).collect::<Vec<_>>()[..] {
-        [only] => Some(only + 1),
-        _ => None,
+    let came: BTreeSet<usize> = moves.iter().copied().filter(came).collect();
+    match came.is_empty() {
+        true => moves.into_iter().chain([STAYED]).collect(),
+        false => came,
     }
+}
+
+/// The labels without which at least so many cells have none; at least one of all.
+fn needed(possible: &BTreeMap<Place, BTreeSet<usize>>, motions: usize, least: usize) -> BTreeSet<usize> {
+    let mut needed: BTreeSet<usize> = (STAYED..=motions).collect();
+    while needed.len() > 1 {
+        let mut alone = vec![0; motions + 1];
+        for label in possible.values().filter_map(|labels| only(&(labels & &needed))) {
+            alone[label] += 1;
+        }
+        let Some(weakest) = needed.iter().copied().min_by_key(|label| (alone[*label], usize::MAX - label)) else {
+            break;
+        };
+        if alone[weakest] >= least {
+            break;
+        }
+        needed.remove(&weakest);
+    }
+    needed
+}
+
+fn only(labels: &BTreeSet<usize>) -> Option<usize> {
+    labels.first().copied().filter(|_| labels.len() == 1)
+}
+
+/// Gives each cell that is not decided the label of the nearest one of its surface that is, or of the nearest one.
+fn fill(decided: &mut BTreeMap<Place, usize>, cells: &BTreeMap<Place, TopCell>) {
+    let alike = |a: Place, b: Place| cells.get(&a).zip(cells.get(&b)).is_some_and(|(a, b)| a.is_like(b));
+    let sources = |decided: &BTreeMap<Place, usize>| decided.iter().map(|(place, label)| (*place, *label)).collect();
+    decided.extend(spread(sources(decided), alike));
+    decided.extend(spread(sources(decided), |_, to| cells.contains_key(&to)));
+}
+
+/// The cells of connected patches of one label that have fewer than `least` cells.
+fn specks(labels: &BTreeMap<Place, usize>, least: usize) -> BTreeSet<Place> {
+    let mut left: BTreeMap<Place, usize> = labels.clone();
+    let mut specks = BTreeSet::new();
+    while let Some((start, label)) = left.pop_first() {
+        let (mut patch, mut open) = (BTreeSet::from([start]), vec![start]);
+        while let Some(here) = open.pop() {
+            for place in around(here, 1).filter(|place| labels.get(place) == Some(&label)) {
+                if left.remove(&place).is_some() {
+                    patch.insert(place);
+                    open.push(place);
+                }
+            }
+        }
+        if patch.len() < least {
+            specks.extend(patch);
+        }
+    }
+    specks
 }

@@ -5,6 +5,7 @@
 //! - [`told_apart`]: what hypotheses become after something was pushed: kept, split, merged, dropped.
 //! - `motion`: rigid motions in the plane of the table, by iterated closest points with colour. `labels`: which cell made which motion.
 //! - [`PushChoice`]: which push tells the most. [`silhouettes`]: the pixels that show each hypothesis.
+//! - [`Appearance`]: by what a thing is known again.
 //! - [`SegmentationStep`]: all of it as a processing step.
 //!
 //! # Source
@@ -12,6 +13,7 @@
 //! Differs in: the motions are those of things that stand and stay on a table (two directions and a turn), and the evidence is counted on
 //! a grid seen from above, by which a place that is free now refutes a motion, too.
 
+mod appearance;
 mod evidence;
 mod hypothesis;
 mod labels;
@@ -23,6 +25,7 @@ mod step;
 mod tests;
 mod top_view;
 
+pub use appearance::{Appearance, most_alike};
 pub use evidence::told_apart;
 pub use hypothesis::{Hypothesis, first_hypotheses};
 pub use push::{Push, PushChoice};
