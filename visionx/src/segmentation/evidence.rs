@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Isometry2;
 
-use super::hypothesis::{Hypothesis, LEAST, of_rest, spread};
+use super::hypothesis::{Hypothesis, LEAST, of_rest, patches, spread};
 use super::labels::{STAYED, labels};
 use super::motion::Change;
 use super::top_view::{Known, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
@@ -186,6 +186,9 @@ fn seen_again(
     let mut of: BTreeMap<Place, usize> = expected.into_iter().map(|(place, (i, _))| (place, i)).collect();
     let sources = |of: &BTreeMap<Place, usize>| of.iter().map(|(place, i)| (*place, *i)).collect();
     let alike = |a: Place, b: Place| surface.get(&a).zip(surface.get(&b)).is_some_and(|(a, b)| a.is_like(b));
+    // A thing is in one place: what would be elsewhere, too, goes with the surface around it.
+    let elsewhere = all_but_the_largest(&of);
+    of.retain(|place, _| !elsewhere.contains(place));
     of.extend(spread(sources(&of), alike));
     let new = of_rest(after, &of.keys().copied().collect(), next);
     let taken: BTreeSet<Place> = new.iter().flat_map(|thing| thing.cells.keys().copied()).collect();
@@ -198,4 +201,19 @@ fn seen_again(
     again.retain(|thing| thing.cells.len() >= LEAST);
     again.extend(new);
     again
+}
+
+/// The cells of each label that are not in its largest patch.
+fn all_but_the_largest(labels: &BTreeMap<Place, usize>) -> BTreeSet<Place> {
+    let patches = patches(labels);
+    let mut largest: BTreeMap<usize, usize> = BTreeMap::new();
+    for (label, patch) in &patches {
+        let most = largest.entry(*label).or_default();
+        *most = (*most).max(patch.len());
+    }
+    patches
+        .into_iter()
+        .filter(|(label, patch)| patch.len() < largest[label])
+        .flat_map(|(_, patch)| patch)
+        .collect()
 }

@@ -184,3 +184,22 @@ pub(super) fn spread(
     }
     found
 }
+
+/// The connected patches of cells of one label, each with its label.
+pub(super) fn patches(labels: &BTreeMap<Place, usize>) -> Vec<(usize, BTreeSet<Place>)> {
+    let mut left = labels.clone();
+    let mut patches = Vec::new();
+    while let Some((start, label)) = left.pop_first() {
+        let (mut patch, mut open) = (BTreeSet::from([start]), vec![start]);
+        while let Some(here) = open.pop() {
+            for place in around(here, 1).filter(|place| labels.get(place) == Some(&label)) {
+                if left.remove(&place).is_some() {
+                    patch.insert(place);
+                    open.push(place);
+                }
+            }
+        }
+        patches.push((label, patch));
+    }
+    patches
+}

@@ -9,9 +9,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Isometry2;
 
-use super::hypothesis::spread;
+use super::hypothesis::{patches, spread};
 use super::motion::{Change, Feature, matches};
-use super::top_view::{Place, TopCell, around, middle_of, place_of};
+use super::top_view::{Place, TopCell, middle_of, place_of};
 
 /// Stayed where it was; motions count from 1.
 pub(super) const STAYED: usize = 0;
@@ -26,10 +26,8 @@ pub(super) fn labels(
     let possible: BTreeMap<Place, BTreeSet<usize>> =
         cells.iter().map(|(place, top)| (*place, possible(*place, top, change, motions))).collect();
     let needed = needed(&possible, motions.len(), least);
-    let mut decided: BTreeMap<Place, usize> = possible
-        .iter()
-        .filter_map(|(place, labels)| Some((*place, only(&(labels & &needed))?)))
-        .collect();
+    let mut decided: BTreeMap<Place, usize> =
+        possible.iter().filter_map(|(place, labels)| Some((*place, only(&(labels & &needed))?))).collect();
     fill(&mut decided, cells);
     // Specks go with what is around them.
     let specks = specks(&decided, least);
@@ -44,12 +42,7 @@ pub(super) fn labels(
 }
 
 /// What a cell may have done.
-fn possible(
-    place: Place,
-    top: &TopCell,
-    change: &Change<'_>,
-    motions: &[Isometry2<f64>],
-) -> BTreeSet<usize> {
+fn possible(place: Place, top: &TopCell, change: &Change<'_>, motions: &[Isometry2<f64>]) -> BTreeSet<usize> {
     let feature = Feature { place, top: *top, edge: false };
     let moves = (1..=motions.len()).filter(|label| matches(change.after, &motions[label - 1], &feature));
     let moves: BTreeSet<usize> = moves.collect();
@@ -80,7 +73,8 @@ fn needed(possible: &BTreeMap<Place, BTreeSet<usize>>, motions: usize, least: us
         for label in possible.values().filter_map(|labels| only(&(labels & &needed))) {
             alone[label] += 1;
         }
-        let Some(weakest) = needed.iter().copied().min_by_key(|label| (alone[*label], usize::MAX - label)) else {
+        let Some(weakest) = needed.iter().copied().min_by_key(|label| (alone[*label], usize::MAX - label))
+        else {
             break;
         };
         if alone[weakest] >= least {
@@ -98,28 +92,14 @@ fn only(labels: &BTreeSet<usize>) -> Option<usize> {
 /// Gives each cell that is not decided the label of the nearest one of its surface that is, or of the nearest one.
 fn fill(decided: &mut BTreeMap<Place, usize>, cells: &BTreeMap<Place, TopCell>) {
     let alike = |a: Place, b: Place| cells.get(&a).zip(cells.get(&b)).is_some_and(|(a, b)| a.is_like(b));
-    let sources = |decided: &BTreeMap<Place, usize>| decided.iter().map(|(place, label)| (*place, *label)).collect();
+    let sources =
+        |decided: &BTreeMap<Place, usize>| decided.iter().map(|(place, label)| (*place, *label)).collect();
     decided.extend(spread(sources(decided), alike));
     decided.extend(spread(sources(decided), |_, to| cells.contains_key(&to)));
 }
 
 /// The cells of connected patches of one label that have fewer than `least` cells.
 fn specks(labels: &BTreeMap<Place, usize>, least: usize) -> BTreeSet<Place> {
-    let mut left: BTreeMap<Place, usize> = labels.clone();
-    let mut specks = BTreeSet::new();
-    while let Some((start, label)) = left.pop_first() {
-        let (mut patch, mut open) = (BTreeSet::from([start]), vec![start]);
-        while let Some(here) = open.pop() {
-            for place in around(here, 1).filter(|place| labels.get(place) == Some(&label)) {
-                if left.remove(&place).is_some() {
-                    patch.insert(place);
-                    open.push(place);
-                }
-            }
-        }
-        if patch.len() < least {
-            specks.extend(patch);
-        }
-    }
-    specks
+    let patches = patches(labels).into_iter();
+    patches.filter(|(_, patch)| patch.len() < least).flat_map(|(_, patch)| patch).collect()
 }
