@@ -78,7 +78,19 @@ async fn push(
 ) -> Result<(f64, f64), Failure> {
     let (speed, most) = (context.number("speed")?, context.number("force")?);
     arm.go(senses, *over, AIR, near).await?;
-    arm.go(senses, *down, AIR / 2.0, near).await?;
+    let free = arm.force(&senses.newest())?;
+    let mut line = StraightLine::new(arm.tcp(&senses.newest()), *down, AIR / 2.0).map_err(failed)?;
+    while !line.rested(RESTS) {
+        let (sample, dt) = senses.next().await?;
+        let point = line.step(dt).map_err(failed)?;
+        near(arm.track(&sample, &point.pose, point.linear, point.angular)?)?;
+        let force = (arm.force(&sample)? - free).norm();
+        if force > most {
+            return Err(Failure::new(format!(
+                "the fingers met something on their way down, with {force:.0} N; nothing may stand where they come down"
+            )));
+        }
+    }
     let begin = arm.tcp(&senses.newest());
     let free = arm.force(&senses.newest())?;
     let mut line = StraightLine::new(begin, *end, speed).map_err(failed)?;

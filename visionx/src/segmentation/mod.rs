@@ -4,7 +4,7 @@
 //! - [`Hypothesis`]: what may be one thing. [`first_hypotheses`]: of a single look, by height and colour.
 //! - [`told_apart`]: what hypotheses become after something was pushed: kept, split, merged, dropped.
 //! - `motion`: rigid motions in the plane of the table, by iterated closest points with colour. `labels`: which cell made which motion.
-//! - [`PushChoice`]: which push tells the most. [`silhouettes`]: the pixels that show each hypothesis.
+//! - [`PushChoice`]: which push tells the most. `silhouettes`: the pixels that show each hypothesis.
 //! - [`Appearance`]: by what a thing is known again.
 //! - [`SegmentationStep`]: all of it as a processing step.
 //!
@@ -29,6 +29,5 @@ pub use appearance::{Appearance, most_alike};
 pub use evidence::told_apart;
 pub use hypothesis::{Hypothesis, first_hypotheses};
 pub use push::{Push, PushChoice};
-pub use silhouettes::silhouettes;
 pub use step::SegmentationStep;
 pub use top_view::{TopCell, TopView};

@@ -28,11 +28,12 @@ const HOLE: u32 = 200;
 const SPECK: u32 = 12;
 
 /// For each hypothesis the runs of pixels that show it.
-pub fn silhouettes(
+pub(super) fn silhouettes(
     hypotheses: &[Hypothesis],
     (depth, colors): (&DepthImage, &RgbImage),
     camera: &PinholeCamera,
-    (root_from_left, above): (&Isometry3<f64>, &dyn Fn(&Point3<f64>) -> f64),
+    root_from_left: &Isometry3<f64>,
+    plane: &Plane,
 ) -> Vec<Vec<PixelRun>> {
     let size = [depth.width as usize, depth.height as usize];
     let owners = owners(hypotheses);
@@ -45,7 +46,7 @@ pub fn silhouettes(
             continue;
         }
         let at = root_from_left * Point3::from(camera.ray(&Point2::new(f64::from(x), f64::from(y))) * z);
-        let height = above(&at);
+        let height = plane.above(&at);
         unsure[i] = height < UNSURE;
         if height > LOW {
             labels[i] = owner(&owners, hypotheses, &at.xy(), height);
@@ -104,9 +105,4 @@ fn runs(labels: &[Option<usize>], of: usize, depth: &DepthImage) -> Vec<PixelRun
     let mut mask = Mask::of(region, labels.iter().map(|label| *label == Some(of)));
     fill_holes(&mut mask, HOLE);
     components(&mask, SPECK).into_iter().flat_map(|part| part.runs).collect()
-}
-
-/// The height of a point above a plane, as [`silhouettes`] asks for it.
-pub(super) fn above(plane: &Plane) -> impl Fn(&Point3<f64>) -> f64 + '_ {
-    |point| plane.above(point)
 }

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use super::evidence::told_apart;
 use super::hypothesis::{Hypothesis, first_hypotheses};
-use super::silhouettes::{above, silhouettes};
+use super::silhouettes::silhouettes;
 use super::top_view::TopView;
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, RgbImage, StereoFrame};
@@ -57,8 +57,7 @@ impl SegmentationStep {
             true => first_hypotheses(&view, &mut self.newest),
             false => told_apart(&self.known, &view, self.pushed.as_deref(), &mut self.newest),
         };
-        let above = above(&plane);
-        let masks = silhouettes(&known, (&depth, &colors), &self.camera, (&frame.root_from_left, &above));
+        let masks = silhouettes(&known, (&depth, &colors), &self.camera, &frame.root_from_left, &plane);
         let seen =
             known.iter().zip(&masks).filter_map(|(h, mask)| observation(h, mask, &plane, frame.stamp_ns));
         let seen = seen.collect();

@@ -188,10 +188,10 @@ proptest! {
         let truth = about(&thing, (way * angle.cos(), way * angle.sin(), turn));
         let (before, after) = (table(&[thing]), table(&[thing.moved(&truth)]));
         let found = Change::between(&before, &after).best_motion().unwrap();
-        let middle = Point2::from(thing.at.translation.vector);
-        let off = (found * middle - truth * middle).norm();
-        prop_assert!(off < 1.5 * CELL, "{} mm off", off * 1e3);
-        prop_assert!(found.rotation.angle_to(&truth.rotation).abs() < 0.12, "{} rad", found.rotation.angle_to(&truth.rotation));
+        // A plain thing that is nearly square may as well have turned by a quarter: what counts is where it is.
+        let (is, should) = (thing.moved(&found).cells(), thing.moved(&truth).cells());
+        let iou = is.intersection(&should).count() as f64 / is.union(&should).count() as f64;
+        prop_assert!(iou > 0.85, "{iou}");
     }
 
     /// Nothing but the motion tells two plain things of one colour and height apart.
