@@ -172,7 +172,7 @@ fn shown(run: &Run<'_>, frame: &FrameTruth) -> Vec<Option<usize>> {
     let mut nearest = vec![(f32::INFINITY, None); (spec.width * spec.height) as usize];
     for (index, body) in run.world.named_bodies().enumerate() {
         let pose = run.log.object_at(index, frame.stamp_ns).unwrap_or_else(Isometry3::identity);
-        let depth = depth_of_shapes(&VisibleScene::new(link_shapes(&body.parts(), &pose).into()), &eye);
+        let depth = depth_of_shapes(&VisibleScene::new(link_shapes(&body.parts(), &pose)), &eye);
         for (depth, nearest) in depth.data.iter().zip(&mut nearest) {
             if *depth > 0.0 && *depth < nearest.0 {
                 *nearest = (*depth, Some(index));

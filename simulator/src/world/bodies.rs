@@ -432,7 +432,7 @@ impl BodySpec {
         let width = length / f64::from(self.stripes);
         let stripe = |n: u32| {
             let at = axis * (width * (f64::from(n) + 0.5) - length / 2.0);
-            let color = if n % 2 == 0 { self.color } else { self.stripe_color };
+            let color = if n.is_multiple_of(2) { self.color } else { self.stripe_color };
             Visual { color, ..part(width, at) }
         };
         (0..self.stripes).map(stripe).collect()

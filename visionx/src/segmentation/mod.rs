@@ -28,6 +28,6 @@ mod top_view;
 pub use appearance::{Appearance, most_alike};
 pub use evidence::told_apart;
 pub use hypothesis::{Hypothesis, first_hypotheses};
-pub use push::{Push, PushChoice};
+pub use push::{PlannedPush, PushChoice};
 pub use step::SegmentationStep;
 pub use top_view::{TopCell, TopView};

@@ -27,7 +27,7 @@ const INWARDS: f64 = 0.3;
 
 /// A push: the tip of a finger goes straight from one place to another, root frame, m.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Push {
+pub struct PlannedPush {
     /// The name of the hypothesis.
     pub of: String,
     /// Where the tip comes down.
@@ -57,19 +57,19 @@ struct Extent {
 
 impl PushChoice {
     /// The best push; `None` where everything is known, was pushed often enough, or cannot be pushed.
-    pub fn best(&self, hypotheses: &[Hypothesis]) -> Option<Push> {
+    pub fn best(&self, hypotheses: &[Hypothesis]) -> Option<PlannedPush> {
         let open = hypotheses.iter().filter(|h| !h.confirmed && h.pushes < self.most);
         let pushes = open.flat_map(|hypothesis| self.pushes(hypothesis, hypotheses));
         pushes.max_by(|a, b| a.tells.total_cmp(&b.tells))
     }
 
-    fn pushes(&self, of: &Hypothesis, all: &[Hypothesis]) -> Vec<Push> {
+    fn pushes(&self, of: &Hypothesis, all: &[Hypothesis]) -> Vec<PlannedPush> {
         let directions = (0..DIRECTIONS).map(|k| TAU * k as f64 / DIRECTIONS as f64);
         let tried = directions.flat_map(|angle| OFFSETS.map(|offset| (angle, offset)));
         tried.filter_map(|(angle, offset)| self.push(of, all, (angle, offset))).collect()
     }
 
-    fn push(&self, of: &Hypothesis, all: &[Hypothesis], (angle, offset): (f64, f64)) -> Option<Push> {
+    fn push(&self, of: &Hypothesis, all: &[Hypothesis], (angle, offset): (f64, f64)) -> Option<PlannedPush> {
         let along = Vector2::new(angle.cos(), angle.sin());
         let across = Vector2::new(-along.y, along.x);
         let extent = |h: &Hypothesis| Extent::of(h, &along, &across);
@@ -114,7 +114,7 @@ impl PushChoice {
             - AGAIN * f64::from(of.pushes)
             - 0.1 * offset.abs()
             + INWARDS * inwards;
-        Some(Push { of: of.name.clone(), from, to, tells })
+        Some(PlannedPush { of: of.name.clone(), from, to, tells })
     }
 
     /// Half of what a finger covers along and across a direction, m.

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use super::hypothesis::{Hypothesis, first_hypotheses};
 use super::motion::{Change, rigid};
 use super::top_view::{CELL, Known, Place, TopCell, TopView, middle_of};
-use super::{Appearance, Push, PushChoice, most_alike, told_apart};
+use super::{Appearance, PlannedPush, PushChoice, most_alike, told_apart};
 
 const RED: [f64; 3] = [190.0, 50.0, 45.0];
 const BLUE: [f64; 3] = [50.0, 80.0, 170.0];
@@ -228,7 +228,7 @@ proptest! {
         known[0].confirmed = confirmed;
         let bounds = [Point2::new(0.0, 0.36), Point2::new(0.46, 0.72)];
         let choice = PushChoice { bounds, finger: (Vector2::y(), [0.025, 0.008]), most: 3 };
-        let Some(Push { of, from, to, .. }) = choice.best(&known) else { return Ok(()) };
+        let Some(PlannedPush { of, from, to, .. }) = choice.best(&known) else { return Ok(()) };
         prop_assert!(!known.iter().any(|hypothesis| hypothesis.name == of && hypothesis.confirmed));
         for end in [from, to] {
             prop_assert!((0..2).all(|i| (bounds[0][i]..bounds[1][i]).contains(&end[i])));
