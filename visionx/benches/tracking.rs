@@ -92,7 +92,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, [40, 170, 60], None, 1);
     measure("marker tracking", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
-        tracking.update(&frame).is_some()
+        tracking.update(&frame, None).is_some()
     });
     let mut observer = HandObserver::new(CALIBRATION);
     measure("hand, gesture, fingertips", STEREO, |i| {
