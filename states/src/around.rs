@@ -14,8 +14,9 @@ use armarium_robot::{
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3};
 
-use crate::arm::{ArmLeases, Senses};
+use crate::arm::{ArmLeases, Senses, tcp_of};
 use crate::equipment::Equipment;
+use crate::grasp::held_in_tcp;
 use crate::motions::failed;
 use crate::places::{Known, distance, known};
 
@@ -58,14 +59,11 @@ impl Around {
         target: Option<&Isometry3<f64>>,
     ) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
-        let tcp = arm.tcp.ok_or_else(|| Failure::new(format!("`{}` has no TCP", arm.name)))?;
-        let grasp = model.hand_of(arm).map_or_else(Isometry3::identity, |hand| hand.grasp_in_tcp);
+        let tcp = tcp_of(arm)?;
+        let held = model.hand_of(arm).map_or_else(Point3::origin, held_in_tcp);
         let here = model.link_pose(now, tcp);
-        let grasps: Vec<Point3<f64>> = [Some(&here), target]
-            .into_iter()
-            .flatten()
-            .map(|root_from_tcp| Point3::from((root_from_tcp * grasp).translation.vector))
-            .collect();
+        let grasps: Vec<_> =
+            target.into_iter().chain([&here]).map(|root_from_tcp| root_from_tcp * held).collect();
         let loads = equipment.robot.loads();
         let in_the_way = |known: &Known| {
             let held =
@@ -107,8 +105,7 @@ impl Around {
     }
 
     fn plan(&self, planner: &mut Planner, now: &[f64], goal: &[f64]) -> Result<Path, Failure> {
-        let path = planner.plan(&self.joints, now, goal, self.equipment.seed);
-        path.map_err(|error| Failure::new(error.to_string()))
+        planner.plan(&self.joints, now, goal, self.equipment.seed).map_err(failed)
     }
 
     fn plan_to_pose(
@@ -122,7 +119,7 @@ impl Around {
         match planner.check(&line) {
             Ok(()) => return Ok(None),
             Err(PlanError::WayBlocked(_) | PlanError::GoalBlocked(_)) => {}
-            Err(other) => return Err(Failure::new(other.to_string())),
+            Err(other) => return Err(failed(other)),
         }
         let end = line.last().map_or(now, Vec::as_slice);
         let error = pose_error(&self.model.link_pose(end, self.tcp), target);
@@ -139,7 +136,7 @@ impl Around {
             &PoseOptions::default(),
             &mut self.equipment.random(),
         );
-        let mut goal = solved.map_err(|error| Failure::new(error.to_string()))?;
+        let mut goal = solved.map_err(failed)?;
         // The other joints stay where they are.
         let moved: Vec<f64> = self.joints.iter().map(|&j| goal[j]).collect();
         goal.copy_from_slice(now);

@@ -5,6 +5,7 @@ use armarium_runtime::skill::Failure;
 
 use crate::arm::tcp_of;
 use crate::equipment::Equipment;
+use crate::motions::failed;
 use crate::wiper::Wiper;
 
 /// Number of points of the path that are checked.
@@ -19,7 +20,7 @@ pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) ->
     let model = equipment.robot.model();
     let (arm, motion) = (&wiper.arm, wiper.motion());
     let (joints, link) = (arm.joints(), tcp_of(&arm.limb)?);
-    let path = motion.primitive().steady_path(POINTS).map_err(|e| Failure::new(e.to_string()))?;
+    let path = motion.primitive().steady_path(POINTS).map_err(failed)?;
     let pose = |s: usize| {
         let point = &path.y[s % path.len()];
         wiper.pose_at([point[0], point[1]], over)
