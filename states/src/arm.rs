@@ -9,7 +9,7 @@ use std::sync::Arc;
 use armarium_motion::{LinePoint, StraightLine};
 use armarium_robot::{
     DifferentialIk, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model,
-    Robot, Sensed, Twist, newest,
+    Robot, Sensed, Twist, newest, pose_error,
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
@@ -214,11 +214,6 @@ impl LeasedArm {
         Ok(Self { leases, limb: limb.clone(), model, tcp, ik, kinematics, posture })
     }
 
-    /// The joints with which it reaches.
-    pub(crate) fn joints(&self) -> &[usize] {
-        &self.leases.joints
-    }
-
     /// The compensated force on its hand at a sample, root frame, N.
     pub(crate) fn force(&self, sample: &Sensed) -> Result<Vector3<f64>, Failure> {
         Ok(force_at(sensor_of(&self.limb)?, sample))
@@ -285,11 +280,9 @@ impl LeasedArm {
         for point in way {
             let mut off = f64::INFINITY;
             for _ in 0..SETTLES {
-                let tcp = self.model.link_pose(&q, self.tcp);
-                let position = point.pose.translation.vector - tcp.translation.vector;
-                let rotation = (point.pose.rotation * tcp.rotation.inverse()).scaled_axis();
-                off = position.norm();
-                let twist = Twist { linear: position / dt, angular: rotation / dt };
+                let error = pose_error(&self.model.link_pose(&q, self.tcp), &point.pose);
+                off = error.linear.norm();
+                let twist = Twist { linear: error.linear / dt, angular: error.angular / dt };
                 let step = self.ik.step(&q, &twist, Some(&begin));
                 for (&joint, speed) in self.leases.joints.iter().zip(step.velocities) {
                     q[joint] += speed * dt;
@@ -326,11 +319,9 @@ impl LeasedArm {
         linear: Vector3<f64>,
         angular: Vector3<f64>,
     ) -> Result<f64, Failure> {
-        let tcp = self.tcp(sample);
-        let position = target.translation.vector - tcp.translation.vector;
-        let rotation = (target.rotation * tcp.rotation.inverse()).scaled_axis();
-        self.twist(sample, linear + TRACKING_GAIN * position, angular + TRACKING_GAIN * rotation)?;
-        Ok(position.norm())
+        let error = pose_error(&self.tcp(sample), target);
+        self.twist(sample, linear + TRACKING_GAIN * error.linear, angular + TRACKING_GAIN * error.angular)?;
+        Ok(error.linear.norm())
     }
 
     /// Moves the TCP on a straight line to a pose (root frame) at `speed` m/s, until it has rested there; `check` takes the distance from the
@@ -363,11 +354,6 @@ impl LeasedArm {
         Ok(step.twist)
     }
 
-    /// Moves the joints with which it reaches, rad/s (m/s), in their order.
-    pub(crate) fn command(&self, velocities: &[f64]) -> Result<(), Failure> {
-        self.leases.command(velocities)
-    }
-
     /// Holds the arm still.
     pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
         self.twist(sample, Vector3::zeros(), Vector3::zeros()).map(|_| ())
@@ -375,7 +361,7 @@ impl LeasedArm {
 
     /// Holds its joints still, and with them what the null space would move.
     pub(crate) fn stand(&self) -> Result<(), Failure> {
-        self.command(&vec![0.0; self.joints().len()])
+        self.leases.command(&vec![0.0; self.leases.joints.len()])
     }
 }
 

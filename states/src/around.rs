@@ -177,18 +177,16 @@ async fn planned<T: Send + 'static>(
     planned.map_err(|error| Failure::new(format!("planning ended early: {error}")))?
 }
 
-/// Moves joints along a path of all joints, from corner to corner, all joints together. `command` takes the velocities of
-/// `joints`, rad/s (m/s).
+/// Moves what is leased along a path of all joints, from corner to corner, all joints together.
 ///
 /// # Errors
 /// When the last corner is not reached within `timeout` s, or the arm is taken away.
 pub(crate) async fn follow(
     senses: &mut Senses,
     model: &Model,
-    joints: &[usize],
+    leases: &ArmLeases,
     path: &Path,
     (tolerance, timeout): (f64, f64),
-    mut command: impl FnMut(&[f64]) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     /// The share of each joint's speed and acceleration limits that is used.
     const SPEED_SHARE: f64 = 0.8;
@@ -206,7 +204,7 @@ pub(crate) async fn follow(
             elapsed += dt;
             // All joints arrive together: the slowest one determines the speed, including braking.
             let error = |joint: usize| corner[joint] - sample.position[joint];
-            let moved = || joints.iter().copied();
+            let moved = || leases.joints.iter().copied();
             let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
             if worst < tolerance {
                 break;
@@ -222,7 +220,7 @@ pub(crate) async fn follow(
                 .fold(0.0, f64::max);
             let time_left = time_left.max(braking).max(0.08);
             let velocity: Vec<f64> = moved().map(|j| error(j) / time_left).collect();
-            command(&velocity)?;
+            leases.command(&velocity)?;
         }
     }
     Ok(())

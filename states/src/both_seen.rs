@@ -255,9 +255,8 @@ impl BothSeen {
         let own = &self.hands[i];
         let hand = self.link(sample, own.tcp);
         let grasp = own.object.unwrap_or(self.object) * own.object_from_grasp;
-        let back = grasp.rotation * Vector3::x() * -over;
-        let mut target = grasp * own.grasp.inverse();
-        target.translation.vector += back;
+        let back = Translation3::from(grasp.rotation * Vector3::x() * -over);
+        let target = back * (grasp * own.grasp.inverse());
         let age = match (&self.sight, own.object) {
             (None, _) => 0.0,
             (Some(_), Some(_)) => seconds(own.at_ns, sample.stamp_ns),

@@ -19,7 +19,7 @@ const POINTS: usize = 48;
 pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) -> Result<f64, Failure> {
     let model = equipment.robot.model();
     let (arm, motion) = (&wiper.arm, wiper.motion());
-    let (joints, link) = (arm.joints(), tcp_of(&arm.limb)?);
+    let (joints, link) = (&arm.leases.joints, tcp_of(&arm.limb)?);
     let path = motion.primitive().steady_path(POINTS).map_err(failed)?;
     let pose = |s: usize| {
         let point = &path.y[s % path.len()];

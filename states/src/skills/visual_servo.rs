@@ -8,7 +8,7 @@ use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, seconds, tcp_of};
 use crate::equipment::{self, Equipment};
@@ -78,9 +78,8 @@ async fn servo(
         if let Some(frame) = sight.sight.newest().map_err(failed)? {
             let before = last_frame_ns.replace(frame.stamp_ns).unwrap_or(frame.stamp_ns);
             let dt = seconds(before, frame.stamp_ns).max(1e-3);
-            let [tcp, marker] =
-                [tcp_of(&arm.limb)?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
-            let (tcp, marker) = (tcp?, marker?);
+            let tcp = equipment.link_at(tcp_of(&arm.limb)?, frame.stamp_ns)?;
+            let marker = equipment.link_at(marker_link, frame.stamp_ns)?;
             let observation = sight.observe(&frame, &tcp, &marker, &over);
             let command = law.step(dt, observation.as_ref()).map_err(failed)?;
             match command.status {
@@ -159,11 +158,9 @@ impl Detections {
     ) -> Option<ServoObservation> {
         self.look_for_object(frame);
         let seen = frame.of_class(HAND).filter(|marker| marker.confidence > 0.3).and_then(seen_at)?;
-        let shift = seen.coords - marker.translation.vector;
-        let mut hand = *tcp;
-        hand.translation.vector += shift;
+        let shift = Translation3::from(seen.coords - marker.translation.vector);
         let target = self.center.coords - self.palm * self.held_in_tcp.coords + over;
-        Some(ServoObservation { hand, target: Isometry3::from_parts(target.into(), self.palm) })
+        Some(ServoObservation { hand: shift * tcp, target: Isometry3::from_parts(target.into(), self.palm) })
     }
 
     fn look_for_object(&mut self, frame: &Sighting) {
