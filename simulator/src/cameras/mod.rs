@@ -10,8 +10,8 @@ mod drawing;
 mod gestures;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, LazyLock};
 
 use armarium_robot::{Kinematics, LinkId, newest};
 use armarium_visionx::{
@@ -234,12 +234,12 @@ impl StereoRig {
         exposed_ns: u64,
         root_from_left: Isometry3<f64>,
     ) -> StereoFrame {
-        let PairOfRenderings { left: Rendering { image: mut left, depth }, right } = drawn;
+        let PairOfRenderings { left: Rendering { image: mut left, depth }, scene, right } = drawn;
         self.noise.apply(&mut left, self.next_frame, 0);
         let (noise, number) = (self.noise.clone(), self.next_frame);
         let PinholeCamera { width, height, focal, .. } = self.source.calibration.camera;
         let right = SharedImage::later(width, height, move || {
-            let mut image = right.image.clone();
+            let mut image = scene.render(&right).image;
             noise.apply(&mut image, number, 1);
             image
         });
@@ -248,17 +248,16 @@ impl StereoRig {
     }
 }
 
-/// What both eyes see, without noise. The right eye is drawn when somebody looks at it.
+/// What the left eye sees, without noise, and what the right one will see when somebody looks at it.
 pub(crate) struct PairOfRenderings {
     left: Rendering,
-    right: Arc<LazyLock<Rendering, Box<dyn FnOnce() -> Rendering + Send>>>,
+    scene: Arc<ShadowedScene>,
+    right: Viewpoint,
 }
 
 impl PairOfRenderings {
     fn of(scene: &Arc<ShadowedScene>, [left, right]: [Viewpoint; 2]) -> Self {
-        let later = Arc::clone(scene);
-        let draw: Box<dyn FnOnce() -> Rendering + Send> = Box::new(move || later.render(&right));
-        Self { left: scene.render(&left), right: Arc::new(LazyLock::new(draw)) }
+        Self { left: scene.render(&left), scene: Arc::clone(scene), right }
     }
 }
 
@@ -365,7 +364,7 @@ impl Eyes {
         let visible = view.coach.hand.is_some_and(|hand| {
             let alone = VisibleScene::new(skin(&hand));
             let in_one = |eye, depth| whole(&hand, eye, depth, &depth_of_shapes(&alone, eye));
-            in_one(&left, &drawn.left.depth) && in_one(&right, &drawn.right.depth)
+            in_one(&left, &drawn.left.depth) && in_one(&right, &scene.depth_of_shapes(&right))
         });
         let truth = FrameTruth {
             stamp_ns: self.rig.stamp(view.exposed_ns),

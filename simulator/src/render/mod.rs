@@ -67,6 +67,11 @@ impl ShadowedScene {
         Self { shadows: shadows(&scene), scene }
     }
 
+    /// As [`depth_of_shapes`].
+    pub fn depth_of_shapes(&self, viewpoint: &Viewpoint) -> DepthImage {
+        depth_of_shapes(&self.scene, viewpoint)
+    }
+
     /// As [`render`].
     pub fn render(&self, viewpoint: &Viewpoint) -> Rendering {
         draw(&self.scene, &self.shadows, viewpoint, true)
