@@ -185,7 +185,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
     }
 
     fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
-        let mut image = self.pair.frame(frames.first()?).ok()?.left;
+        let mut image = RgbImage::clone(&self.pair.frame(frames.first()?).ok()?.left);
         self.step.draw(&mut image);
         Some(image)
     }

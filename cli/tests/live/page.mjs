@@ -1,9 +1,10 @@
-// Drives the live page in a real browser. Arguments: the folder with npm packages, the browser, a scenario, the address, a folder for pictures.
+// Drives the live page in a real browser. Arguments: the folder with npm packages, the browser, a scenario, the address, a folder for pictures,
+// and where the run can be stopped, if that is elsewhere.
 // Prints what it found as JSON; any surprise ends it with a reason.
 
 import { createRequire } from 'node:module';
 
-const [modules, browserPath, scenario, url, pictures] = process.argv.slice(2);
+const [modules, browserPath, scenario, url, pictures, actor = url] = process.argv.slice(2);
 const require = createRequire(`${modules}/`);
 const { chromium } = require('playwright-core');
 
@@ -23,6 +24,14 @@ const active = (page) => page.$$eval('[data-state].active', (all) => all.map((ea
 const picture = (page, name) => page.screenshot({ path: `${pictures}/${name}.png` });
 const expect = (holds, what) => { if (!holds) throw new Error(what); };
 const badge = (page) => page.textContent('#badge');
+// Stops the run: however slow a machine is, the run lasts until all has been seen that is to be seen while it goes on.
+async function stop() {
+  const context = await browser.newContext({ ignoreHTTPSErrors: true }), page = await context.newPage();
+  await page.goto(actor);
+  await page.waitForSelector('#acting button');
+  await page.click('#acting button:has-text("stop the robot")');
+  await context.close();
+}
 const ended = (page) => page.waitForFunction(() => !['running', 'paused', 'not connected', '…'].includes(document.getElementById('badge').textContent), null, { timeout: 240000 });
 // What a tab needs, MB, and up to where it knows the run, s.
 async function heap(page) {
@@ -40,6 +49,7 @@ const scenarios = {
     await picture(page, 'overview');
     await page.reload();
     await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    await stop();
     await ended(page);
     const outcome = await badge(page);
     await picture(page, 'ended');
@@ -80,6 +90,7 @@ const scenarios = {
     const page = await open(undefined, { ignoreHTTPSErrors: true });
     expect(!page.url().includes('token'), 'the token does not stay in the address');
     await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    await stop();
     await ended(page);
     return { outcome: await badge(page) };
   },
