@@ -413,6 +413,44 @@ fn every_view_looks_as_it_did() {
 }
 
 #[test]
+fn hands_are_labelled_in_a_browser_and_detectors_are_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let photographs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../visionx/tests/photographs");
+    for (name, copy) in
+        [("real_point_one.jpg", "a.jpg"), ("real_fist.jpg", "b.jpg"), ("real_fist.jpg", "c.jpg")]
+    {
+        std::fs::copy(photographs.join(name), folder.path().join(copy)).unwrap();
+    }
+    let labels = folder.path().join("labels.jsonl");
+    let [images, file] = [folder.path(), &labels].map(|path| path.display().to_string());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    command.args(["vision", "label", &images, "--labels", &file]).stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut page = command.spawn().unwrap();
+    let mut said = BufReader::new(page.stdout.take().unwrap());
+    let mut url = String::new();
+    said.read_line(&mut url).unwrap();
+    let found = play("label", url.split(' ').next().unwrap());
+    page.kill().unwrap();
+    page.wait().unwrap();
+    let Some(found) = found else { return };
+    assert_eq!(found["problem"], "");
+    assert!(found["count"].as_str().unwrap().contains("2 labelled"), "{found}");
+    let score = Command::new(env!("CARGO_BIN_EXE_armarium"))
+        .args(["vision", "score", &images, "--labels", &file, "--json"])
+        .output()
+        .unwrap();
+    let score: Json = serde_json::from_slice(&score.stdout).unwrap();
+    let learned = &score["learned"];
+    assert_eq!(
+        (&learned["hands"], &learned["found"], &learned["right_gestures"]),
+        (&1.into(), &1.into(), &1.into())
+    );
+    // There is a hand in the second image, but somebody said that there is none.
+    assert_eq!((&learned["without"], &learned["false_hands"]), (&1.into(), &1.into()));
+    assert!(learned["errors"][0].as_f64().unwrap() < 0.1, "{score}");
+}
+
+#[test]
 fn foxglove_follows_a_run() {
     let run = Run::start(SWINGS, &["--live", "--foxglove", "0", "--speed", "1", "--for", "60s"]);
     let address = run.before.split_whitespace().find(|word| word.starts_with("ws://127.0.0.1:"));

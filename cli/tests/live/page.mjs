@@ -29,7 +29,7 @@ async function stop() {
   const context = await browser.newContext({ ignoreHTTPSErrors: true }), page = await context.newPage();
   await page.goto(actor);
   await page.waitForSelector('#acting button');
-  await page.click('#acting button:has-text("stop the robot")');
+  await Promise.all([page.waitForResponse((answer) => answer.url().endsWith('/act')), page.click('#acting button:has-text("stop the robot")')]);
   await context.close();
 }
 const ended = (page) => page.waitForFunction(() => !['running', 'paused', 'not connected', '…'].includes(document.getElementById('badge').textContent), null, { timeout: 240000 });
@@ -93,6 +93,27 @@ const scenarios = {
     await stop();
     await ended(page);
     return { outcome: await badge(page) };
+  },
+  // Two hands are clicked, and one image has none.
+  async label() {
+    const page = await open(undefined, {}, '#ask');
+    const loaded = () => page.waitForFunction(() => document.getElementById('image').complete && document.getElementById('image').naturalWidth > 0);
+    const click = async (x, y) => {
+      await loaded();
+      const [box, size] = [await page.locator('#image').boundingBox(), await page.$eval('#image', (image) => [image.naturalWidth, image.naturalHeight])];
+      await page.mouse.click(box.x + x / size[0] * box.width, box.y + y / size[1] * box.height);
+    };
+    const kept = (count) => page.waitForFunction((wanted) => document.getElementById('count').textContent.includes(`${wanted} labelled`), count);
+    for (const place of [[260, 560], [260, 330], [214, 96]]) await click(...place);
+    await page.click('#gestures button:has-text("point one")');
+    await kept(1);
+    await picture(page, 'label');
+    await page.keyboard.press('ArrowRight');
+    await page.keyboard.press('n');
+    await kept(2);
+    await page.reload();
+    await page.waitForFunction(() => document.getElementById('count').textContent.startsWith('image 3'));
+    return { count: await page.textContent('#count'), problem: await page.textContent('#problem') };
   },
   // Two runs beside each other show the same time.
   async compare() {
