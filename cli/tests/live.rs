@@ -37,6 +37,10 @@ states:
     after: {90s: Done}
   Done: {final: success}
 ";
+/// The same for as long as somebody needs to look at it: who has seen enough stops it.
+fn long_swings() -> String {
+    SWINGS.replace("90s", "2h")
+}
 const FAILS: &str = "
 statechart: Fails
 initial: Outer
@@ -245,16 +249,23 @@ fn browser() -> Option<(PathBuf, PathBuf)> {
 fn play(scenario: &str, url: &str) -> Option<Json> {
     let folder = tempfile::tempdir().unwrap();
     let pictures = std::env::var_os("ARMARIUM_PICTURES").map_or(folder.path().to_owned(), PathBuf::from);
-    play_into(scenario, url, &pictures)
+    play_into(scenario, url, &pictures, url)
 }
 
-/// As [`play`], with its pictures in a folder.
-fn play_into(scenario: &str, url: &str, pictures: &Path) -> Option<Json> {
+/// As [`play`], with its pictures in a folder, and the address of a page that may stop the run.
+fn play_into(scenario: &str, url: &str, pictures: &Path, actor: &str) -> Option<Json> {
     let (modules, chromium) = browser()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/page.mjs");
     let mut node = Command::new("node");
-    let played =
-        node.arg(script).arg(modules).arg(chromium).arg(scenario).arg(url).arg(pictures).output().unwrap();
+    let played = node
+        .arg(script)
+        .arg(modules)
+        .arg(chromium)
+        .args([scenario, url])
+        .arg(pictures)
+        .arg(actor)
+        .output()
+        .unwrap();
     let (out, err) = (String::from_utf8_lossy(&played.stdout), String::from_utf8_lossy(&played.stderr));
     assert!(played.status.success(), "{scenario}: {err}");
     Some(serde_json::from_str(&out).unwrap())
@@ -262,7 +273,7 @@ fn play_into(scenario: &str, url: &str, pictures: &Path) -> Option<Json> {
 
 #[test]
 fn a_browser_follows_a_run_to_its_end_and_looks_back() {
-    let run = Run::start(SWINGS, &["--live-hold", "--speed", "1", "--for", "12s"]);
+    let run = Run::start(&long_swings(), &["--live-control", "--live-hold", "--speed", "1"]);
     let Some(found) = play("follow", &run.url) else { return };
     let during: Vec<&str> = found["during"].as_array().unwrap().iter().filter_map(Json::as_str).collect();
     assert!(
@@ -318,10 +329,11 @@ fn a_browser_shows_two_recordings_beside_each_other() {
 
 #[test]
 fn a_browser_follows_a_run_of_another_agent() {
-    let run = Run::start(SWINGS, &["--name", "bob", "--live", "--live-hold", "--for", "12s"]);
+    let run = Run::start(&long_swings(), &["--name", "bob", "--live-control", "--live-hold"]);
     let heard = run.before.lines().find_map(|line| line.split_once("listens on ")).expect("it says where");
     let view = View::start(&["bob", "--connect", heard.1.trim()]);
-    let Some(found) = play("follow", &view.url) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let Some(found) = play_into("follow", &view.url, folder.path(), &run.url) else { return };
     assert_eq!(found["outcome"], "stopped");
     assert!(found["entities"].as_u64().unwrap() > 0, "memory has prior knowledge");
 }
@@ -335,8 +347,8 @@ fn beyond_this_machine_only_who_was_given_the_address_looks() {
     std::fs::write(&key, made.signing_key.serialize_pem()).unwrap();
     let [certificate, key] = [certificate, key].map(|file| file.display().to_string());
     let secured = ["--ca", &certificate, "--certificate", &certificate, "--key", &key];
-    let options = [&["--live-hold", "--live-address", "127.0.0.1", "--for", "12s"], &secured[..]].concat();
-    let run = Run::start(SWINGS, &options);
+    let options = [&["--live-control", "--live-hold", "--live-address", "127.0.0.1"], &secured[..]].concat();
+    let run = Run::start(&long_swings(), &options);
     assert!(run.url.starts_with("https://") && run.url.contains("/?token="), "{}", run.url);
     let Some(found) = play("invited", &run.url) else { return };
     assert_eq!(found["outcome"], "stopped");
@@ -372,7 +384,7 @@ fn every_view_looks_as_it_did() {
     command.args(["run", "chart.yaml", "--for", "4s"]).current_dir(folder.path());
     assert_eq!(command.output().unwrap().status.code(), Some(1), "stopped");
     let view = View::start(&[&folder.path().join("report/run.mcap").display().to_string()]);
-    let Some(taken) = play_into("views", &view.url, folder.path()) else { return };
+    let Some(taken) = play_into("views", &view.url, folder.path(), &view.url) else { return };
     let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/views");
     let names: Vec<&str> = taken.as_array().unwrap().iter().filter_map(Json::as_str).collect();
     assert_eq!(names.len(), 7, "{names:?}");
@@ -401,6 +413,44 @@ fn every_view_looks_as_it_did() {
 }
 
 #[test]
+fn hands_are_labelled_in_a_browser_and_detectors_are_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let photographs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../visionx/tests/photographs");
+    for (name, copy) in
+        [("real_point_one.jpg", "a.jpg"), ("real_fist.jpg", "b.jpg"), ("real_fist.jpg", "c.jpg")]
+    {
+        std::fs::copy(photographs.join(name), folder.path().join(copy)).unwrap();
+    }
+    let labels = folder.path().join("labels.jsonl");
+    let [images, file] = [folder.path(), &labels].map(|path| path.display().to_string());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    command.args(["vision", "label", &images, "--labels", &file]).stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut page = command.spawn().unwrap();
+    let mut said = BufReader::new(page.stdout.take().unwrap());
+    let mut url = String::new();
+    said.read_line(&mut url).unwrap();
+    let found = play("label", url.split(' ').next().unwrap());
+    page.kill().unwrap();
+    page.wait().unwrap();
+    let Some(found) = found else { return };
+    assert_eq!(found["problem"], "");
+    assert!(found["count"].as_str().unwrap().contains("2 labelled"), "{found}");
+    let score = Command::new(env!("CARGO_BIN_EXE_armarium"))
+        .args(["vision", "score", &images, "--labels", &file, "--json"])
+        .output()
+        .unwrap();
+    let score: Json = serde_json::from_slice(&score.stdout).unwrap();
+    let learned = &score["learned"];
+    assert_eq!(
+        (&learned["hands"], &learned["found"], &learned["right_gestures"]),
+        (&1.into(), &1.into(), &1.into())
+    );
+    // There is a hand in the second image, but somebody said that there is none.
+    assert_eq!((&learned["without"], &learned["false_hands"]), (&1.into(), &1.into()));
+    assert!(learned["errors"][0].as_f64().unwrap() < 0.1, "{score}");
+}
+
+#[test]
 fn foxglove_follows_a_run() {
     let run = Run::start(SWINGS, &["--live", "--foxglove", "0", "--speed", "1", "--for", "60s"]);
     let address = run.before.split_whitespace().find(|word| word.starts_with("ws://127.0.0.1:"));
@@ -419,7 +469,7 @@ fn foxglove_follows_a_run() {
 
 #[test]
 fn a_browser_pauses_steps_and_goes_on() {
-    let run = Run::start(SWINGS, &["--live-control", "--live-hold"]);
+    let run = Run::start(&long_swings(), &["--live-control", "--live-hold"]);
     let Some(found) = play("act", &run.url) else { return };
     assert!(found["stopped"].as_array().unwrap().contains(&"Swing.Back".into()), "{found}");
     assert_eq!(found["outcome"], "failure");

@@ -98,7 +98,7 @@ impl SearchTargets {
         frame: &StereoFrame,
         state_at: &dyn Fn(u64) -> String,
     ) -> Option<Picture> {
-        let mut image: RgbImage = frame.left.clone();
+        let mut image = RgbImage::clone(&frame.left);
         let mut seen = Vec::new();
         for (name, size, color) in &self.objects {
             let Some(found) = ObjectLocalizer::new(calibration, *size, *color).localize(frame) else {

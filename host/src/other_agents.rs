@@ -114,7 +114,7 @@ impl OtherAgents {
         let own = &world.robot.name;
         memory.commit_now(vec![agent_pose_update(own, &Isometry3::identity())?])?;
         let options = ServerOptions { store: Some(Arc::clone(&sharing.store)), guarded: false };
-        let server = MemoryServer::start_with(session, own, Arc::clone(memory), options).await?;
+        let server = MemoryServer::start(session, own, Arc::clone(memory), options).await?;
         let frame = world.model()?.camera_frame().to_owned();
         let (mut offered, mut samplers) = (Vec::new(), Vec::new());
         for (agent, eyes) in &sharing.eyes {

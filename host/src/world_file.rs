@@ -37,7 +37,7 @@ impl WorldFile {
         if world.robot.arm.is_none() && !arm.is_empty() {
             let model = world.model()?;
             if given {
-                world.robot.arm = model.arms().find(|limb| limb.name == arm).map(|limb| limb.name.clone());
+                world.robot.arm = model.arm(arm).map(|limb| limb.name.clone());
             } else {
                 world = world.for_arm(&model, arm);
             }

@@ -207,7 +207,7 @@ impl AgentMemory {
     pub async fn share(&mut self, session: &Session, config: &MemoryConfig) -> Result<(), MemoryError> {
         let (shared, store) = (Arc::clone(&self.memory), self.store().cloned());
         let options = ServerOptions { store: store.clone(), guarded: config.guarded };
-        self.server = Some(MemoryServer::start_with(session, &config.name, shared, options).await?);
+        self.server = Some(MemoryServer::start(session, &config.name, shared, options).await?);
         for inference in &config.infer {
             let memory = Arc::<WorkingMemory>::clone(&self.memory);
             let attached = RunningInference::start(memory, Arc::clone(inference), Arc::clone(&self.clock));

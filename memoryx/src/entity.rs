@@ -245,12 +245,17 @@ impl Instance {
 impl Commit {
     /// One hypothesis with confidence 1 and no expected version.
     pub fn new(id: EntityId, referenced_ns: u64, attributes: impl Into<Attributes>) -> Self {
-        Self { id, referenced_ns, instances: vec![Instance::new(attributes)], expected_version: None }
+        Self::of(id, referenced_ns, vec![Instance::new(attributes)])
+    }
+
+    /// These hypotheses and no expected version.
+    pub fn of(id: EntityId, referenced_ns: u64, instances: Vec<Instance>) -> Self {
+        Self { id, referenced_ns, instances, expected_version: None }
     }
 
     /// Removes the entity, as of `referenced_ns`.
     pub fn removal(id: EntityId, referenced_ns: u64) -> Self {
-        Self { id, referenced_ns, instances: Vec::new(), expected_version: None }
+        Self::of(id, referenced_ns, Vec::new())
     }
 
     /// The same commit, refused unless `version` is the entity's newest (0: the entity must not exist).

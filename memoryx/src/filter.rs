@@ -21,38 +21,40 @@ pub struct Filter {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Name {
-    Id,
-    Segment,
-    Provider,
-    Entity,
-    Version,
-    Confidence,
-    Referenced,
-    Sent,
-    Arrived,
+    /// One of [`OWN`].
+    Own(usize),
     Attribute(String),
 }
 
-impl Name {
-    const BUILT_IN: [(&'static str, Self); 9] = [
-        ("id", Self::Id),
-        ("segment", Self::Segment),
-        ("provider", Self::Provider),
-        ("entity", Self::Entity),
-        ("version", Self::Version),
-        ("confidence", Self::Confidence),
-        ("referenced_s", Self::Referenced),
-        ("sent_s", Self::Sent),
-        ("arrived_s", Self::Arrived),
-    ];
+/// A name, its type, and its value of a snapshot.
+type OwnName = (&'static str, Type, fn(&Snapshot) -> Option<Value>);
 
+/// The names that are not attributes.
+static OWN: [OwnName; 9] = [
+    ("id", Type::String, |s| Some(s.id.as_str().into())),
+    ("segment", Type::String, |s| Some(s.id.segment().into())),
+    ("provider", Type::String, |s| Some(s.id.provider().into())),
+    ("entity", Type::String, |s| Some(s.id.entity().into())),
+    ("version", Type::Int, |s| Some(Value::Int(i64::try_from(s.version).unwrap_or(i64::MAX)))),
+    ("confidence", Type::FLOAT, |s| Some(Value::Float(s.instance()?.confidence))),
+    ("referenced_s", Type::FLOAT, |s| Some(seconds(s.referenced_ns))),
+    ("sent_s", Type::FLOAT, |s| Some(seconds(s.sent_ns))),
+    ("arrived_s", Type::FLOAT, |s| Some(seconds(s.arrived_ns))),
+];
+
+fn seconds(ns: u64) -> Value {
+    Value::Float(ns as f64 * 1e-9)
+}
+
+impl Name {
     /// The name at the start of a dotted path, and how many of its parts belong to it.
     fn of(path: &[&str]) -> Option<(Self, usize)> {
+        let attribute = |name: &str| Self::Attribute(name.to_owned());
         match path {
-            ["attributes", name, ..] => Some((Self::Attribute((*name).to_owned()), 2)),
+            ["attributes", name, ..] => Some((attribute(name), 2)),
             [name, ..] => {
-                let own = Self::BUILT_IN.into_iter().find(|(n, _)| n == name).map(|(_, own)| own);
-                Some((own.unwrap_or_else(|| Self::Attribute((*name).to_owned())), 1))
+                let own = OWN.iter().position(|(own, ..)| own == name);
+                Some((own.map_or_else(|| attribute(name), Self::Own), 1))
             }
             [] => None,
         }
@@ -60,28 +62,17 @@ impl Name {
 
     fn ty(&self) -> Type {
         match self {
-            Self::Id | Self::Segment | Self::Provider | Self::Entity => Type::String,
-            Self::Version => Type::Int,
-            Self::Confidence | Self::Referenced | Self::Sent | Self::Arrived => Type::FLOAT,
+            Self::Own(own) => OWN[*own].1.clone(),
             Self::Attribute(_) => Type::Any,
         }
     }
 
     /// The values that are not attributes.
     fn value(&self, snapshot: &Snapshot) -> Option<Value> {
-        let seconds = |ns: u64| Value::Float(ns as f64 * 1e-9);
-        Some(match self {
-            Self::Id => snapshot.id.as_str().into(),
-            Self::Segment => snapshot.id.segment().into(),
-            Self::Provider => snapshot.id.provider().into(),
-            Self::Entity => snapshot.id.entity().into(),
-            Self::Version => Value::Int(i64::try_from(snapshot.version).unwrap_or(i64::MAX)),
-            Self::Confidence => Value::Float(snapshot.instance()?.confidence),
-            Self::Referenced => seconds(snapshot.referenced_ns),
-            Self::Sent => seconds(snapshot.sent_ns),
-            Self::Arrived => seconds(snapshot.arrived_ns),
-            Self::Attribute(_) => return None,
-        })
+        match self {
+            Self::Own(own) => OWN[*own].2(snapshot),
+            Self::Attribute(_) => None,
+        }
     }
 }
 
@@ -125,26 +116,6 @@ impl EvalContext for SnapshotContext<'_> {
             Name::Attribute(name) => self.snapshot.attribute(name),
             _ => self.own.get(at)?.as_ref(),
         }
-    }
-
-    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
-        None
-    }
-
-    fn age(&self, _: u32) -> Option<f64> {
-        None
-    }
-
-    fn event_name(&self) -> Option<&str> {
-        None
-    }
-
-    fn event_data(&self) -> Option<&Value> {
-        None
-    }
-
-    fn active(&self, _: u32) -> bool {
-        false
     }
 }
 

@@ -20,7 +20,8 @@ async fn nonsense_is_refused_in_words_and_others_are_served() {
     let limits =
         MemoryLimits { entities: 3, bytes: 100_000, ahead_ns: Some(1000), ..MemoryLimits::default() };
     let memory = Arc::new(WorkingMemory::new(Arc::new(|| 500)).with_limits(limits));
-    let _server = MemoryServer::start(&session, "alice", Arc::clone(&memory)).await.unwrap();
+    let _server =
+        MemoryServer::start(&session, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&session.endpoints().await)).await.unwrap();
     let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
     let key = keys::memory_commit("alice").unwrap();

@@ -207,15 +207,7 @@ fn has_bad_orientation(value: &Value) -> bool {
 
 /// Whether a value is nested too deep to be stored or sent.
 pub(crate) fn too_deep(value: &Value) -> bool {
-    fn deeper(value: &Value, left: usize) -> bool {
-        left == 0
-            || match value {
-                Value::List(items) => items.iter().any(|v| deeper(v, left - 1)),
-                Value::Map(fields) => fields.values().any(|v| deeper(v, left - 1)),
-                _ => false,
-            }
-    }
-    deeper(value, MAX_DEPTH)
+    value.deeper_than(MAX_DEPTH - 1)
 }
 
 /// The typed core segments that every working memory has, by name.

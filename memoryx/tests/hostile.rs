@@ -80,7 +80,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
     let memory = WorkingMemory::new(Arc::new(|| 5)).with_backing(Arc::<LongTermMemory>::clone(&store));
     let memory = Arc::new(memory);
     let kept = ServerOptions { store: Some(Arc::clone(&store)), guarded: false };
-    let _server = MemoryServer::start_with(&session, "alice", Arc::clone(&memory), kept).await.unwrap();
+    let _server = MemoryServer::start(&session, "alice", Arc::clone(&memory), kept).await.unwrap();
     let near = connected(&session).await;
     let carol = RemoteMemory::connect(&near, "alice").await.unwrap();
     let stranger = connected(&session).await;
@@ -175,7 +175,8 @@ async fn a_million_names_fill_one_share_and_no_more() {
     let log = captured_log();
     let limits = MemoryLimits { entities: 20_000, bytes: 64 << 20, shares: 4, ..MemoryLimits::default() };
     let (far, memory) = alice(limits).await;
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let _server =
+        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
     let near = connected(&far).await;
     let carol = RemoteMemory::connect(&near, "alice").await.unwrap();
     let stranger = connected(&far).await;
@@ -216,7 +217,8 @@ async fn a_million_names_fill_one_share_and_no_more() {
 async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let _alone = ALONE.lock().await;
     let (far, memory) = alice(MemoryLimits { history: 4, backlog: 256, ..MemoryLimits::default() }).await;
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let _server =
+        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
 
     // The first subscriber's callback never returns.
     let lazy = connected(&far).await;

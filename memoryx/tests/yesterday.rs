@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use armarium_bus::session::Reply;
 use armarium_bus::{Key, Session, SessionConfig, decode, encode, keys};
-use armarium_memoryx::{MemoryServer, WorkingMemory};
+use armarium_memoryx::{MemoryServer, ServerOptions, WorkingMemory};
 use serde::{Deserialize, Serialize};
 
 /// A commit of `Things/p/cup` with `value: 7`, as it was recorded.
@@ -112,7 +112,8 @@ async fn ask(session: &Session, schema: &str, content: Vec<u8>) -> (String, Vec<
 async fn it_is_understood_and_understands() {
     let far = Session::open(&SessionConfig::default()).await.unwrap();
     let memory = Arc::new(WorkingMemory::new(Arc::new(|| 7)));
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let _server =
+        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let all = Key::parse("alice/memory/changes").unwrap();
     let mut told = near.subscribe(all, 64).await.unwrap();

@@ -399,6 +399,11 @@ impl Model {
         self.arms.iter().filter_map(|name| self.limbs.get(name))
     }
 
+    /// The arm of that name.
+    pub fn arm(&self, name: &str) -> Option<&Limb> {
+        self.arms().find(|arm| arm.name == name)
+    }
+
     /// On which side of the robot an arm begins: 1 where the root frame's x points, -1 on the other side; 1 for an arm in
     /// the middle.
     pub fn side_of(&self, arm: &Limb) -> f64 {

@@ -56,7 +56,7 @@ fn wiping() {
     let mut world = World::ideal();
     let robots = start::robots(&world, 1, None).expect("the default robot is sound");
     let model = robots[0].model.clone();
-    let arm = model.arms().find(|arm| arm.name == robots[0].arm).expect("the arm that works");
+    let arm = model.arm(&robots[0].arm).expect("the arm that works");
     let hand = model.hand_of(arm).expect("it has a hand");
     let mut kinematics = Kinematics::new(&model);
     kinematics.update(&robots[0].position);

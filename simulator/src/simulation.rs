@@ -24,6 +24,7 @@ use crate::error::SimulationError;
 use crate::person::Person;
 use crate::physics::{External, Plant};
 use crate::referee::Referee;
+use crate::render::ShadowedScene;
 use crate::sensing::Sensors;
 use crate::start;
 use crate::table::DirtGrid;
@@ -486,7 +487,7 @@ impl Simulation {
             without_hand_s: t - self.hand_gone_at,
             wiped: &self.dirt,
         };
-        let scene = self.drawing.scene(&view);
+        let scene = Arc::new(ShadowedScene::new(self.drawing.scene(&view)));
         for (i, robot) in self.robots.iter_mut().enumerate().filter(|(i, _)| own[*i]) {
             let truth = match &mut self.scenery {
                 Some(scenery) if i == 0 => {

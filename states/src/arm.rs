@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use armarium_motion::{LinePoint, StraightLine};
 use armarium_robot::{
-    DifferentialIk, Fault, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId,
-    Model, Robot, Sensed, Twist, newest,
+    DifferentialIk, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model,
+    Robot, Sensed, Twist, newest, pose_error,
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
@@ -50,14 +50,19 @@ impl Senses {
         }
         let sample = self.sensed.borrow_and_update();
         let before = self.last_ns.replace(sample.stamp_ns).unwrap_or(sample.stamp_ns);
-        let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
-        Ok((sample, dt.clamp(1e-4, 0.1)))
+        let dt = seconds(before, sample.stamp_ns).clamp(1e-4, 0.1);
+        Ok((sample, dt))
     }
 
     /// The newest sample, without waiting.
     pub(crate) fn newest(&self) -> Arc<Sensed> {
         self.sensed.borrow()
     }
+}
+
+/// The time from one stamp to a later one, s; 0 if it is not later.
+pub(crate) fn seconds(from_ns: u64, to_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
 }
 
 /// The input that names the arm.
@@ -102,7 +107,7 @@ pub(crate) fn chosen<'e>(equipment: &'e Equipment, context: &SkillContext) -> Re
         return equipment.arm();
     }
     let model = equipment.robot.model();
-    model.arms().find(|arm| arm.name == name).ok_or_else(|| {
+    model.arm(name).ok_or_else(|| {
         let known = model.arms().map(|arm| arm.name.as_str()).collect::<Vec<_>>().join(", ");
         Failure::new(format!("the robot `{}` has no arm `{name}`; it has {known}", model.name()))
     })
@@ -123,15 +128,6 @@ pub(crate) fn force_at(sensor: usize, sample: &Sensed) -> Vector3<f64> {
     sample.wrenches.get(sensor).map_or_else(Vector3::zeros, |felt| felt.external.force)
 }
 
-/// The compensated wrench that a wrench sensor feels: force, N, and torque about the TCP, N m, root frame.
-fn wrench_at(sensor: usize, sample: &Sensed) -> Vector6<f64> {
-    let felt = sample.wrenches.get(sensor).map(|felt| felt.external).unwrap_or_default();
-    let mut wrench = Vector6::zeros();
-    wrench.fixed_rows_mut::<3>(0).copy_from(&felt.force);
-    wrench.fixed_rows_mut::<3>(3).copy_from(&felt.torque);
-    wrench
-}
-
 /// Where an arm works, with the platform where it is at the positions `now` of all joints: the pose of its TCP in the posture in
 /// which it is ready (root from TCP).
 pub(crate) fn workspace(model: &Model, arm: &Limb, now: &[f64]) -> Result<Isometry3<f64>, Failure> {
@@ -140,7 +136,7 @@ pub(crate) fn workspace(model: &Model, arm: &Limb, now: &[f64]) -> Result<Isomet
 
 /// An arm and the limbs that help it, leased together.
 pub(crate) struct ArmLeases {
-    lease: Lease,
+    pub(crate) lease: Lease,
     /// The joints of the helpers, then the arm's.
     pub(crate) joints: Vec<usize>,
     /// The places that its hand may touch.
@@ -161,7 +157,7 @@ impl ArmLeases {
         let lease = loop {
             match try_lease(equipment, context, &limbs, &touches) {
                 Err(LeaseError::Taken { limb, .. }) if limb != arm.name => limbs.retain(|name| *name != limb),
-                lease => break lease.map_err(|error| Failure::new(error.to_string()))?,
+                lease => break lease.map_err(failed)?,
             }
         };
         let model = equipment.robot.model();
@@ -171,12 +167,7 @@ impl ArmLeases {
 
     /// Sets the velocities, in the order of the joints.
     pub(crate) fn command(&self, velocities: &[f64]) -> Result<(), Failure> {
-        self.lease.command(velocities).map_err(|fault| Failure::new(fault.to_string()))
-    }
-
-    /// Why the limbs were taken away, if they were.
-    pub(crate) fn fault(&self) -> Option<Fault> {
-        self.lease.fault()
+        self.lease.command(velocities).map_err(failed)
     }
 }
 
@@ -214,11 +205,6 @@ impl LeasedArm {
         Self::with(equipment, limb, ArmLeases::take(equipment, context, limb, (&[], targets)).await?)
     }
 
-    /// From now on the null space pulls towards the posture of a sample.
-    pub(crate) fn stay_near(&mut self, sample: &Sensed) {
-        self.posture = self.leases.joints.iter().map(|&joint| sample.position[joint]).collect();
-    }
-
     fn with(equipment: &Equipment, limb: &Limb, leases: ArmLeases) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
         let tcp = tcp_of(limb)?;
@@ -228,11 +214,6 @@ impl LeasedArm {
         Ok(Self { leases, limb: limb.clone(), model, tcp, ik, kinematics, posture })
     }
 
-    /// The joints with which it reaches.
-    pub(crate) fn joints(&self) -> &[usize] {
-        &self.leases.joints
-    }
-
     /// The compensated force on its hand at a sample, root frame, N.
     pub(crate) fn force(&self, sample: &Sensed) -> Result<Vector3<f64>, Failure> {
         Ok(force_at(sensor_of(&self.limb)?, sample))
@@ -240,7 +221,9 @@ impl LeasedArm {
 
     /// The compensated wrench on its hand at a sample: force, N, and torque about the TCP, N m, root frame.
     pub(crate) fn wrench(&self, sample: &Sensed) -> Result<Vector6<f64>, Failure> {
-        Ok(wrench_at(sensor_of(&self.limb)?, sample))
+        let felt = sample.wrenches.get(sensor_of(&self.limb)?);
+        let felt = felt.map(|felt| felt.external).unwrap_or_default();
+        Ok(Vector6::from_iterator(felt.force.iter().chain(&felt.torque).copied()))
     }
 
     /// `root_from_tcp` at a sample.
@@ -280,7 +263,8 @@ impl LeasedArm {
         let twist = self.kinematics.twist(self.tcp, at, &sample.velocity);
         let mut jacobian = Jacobian::zeros(self.leases.joints.len());
         self.kinematics.jacobian_into(self.tcp, at, &self.leases.joints, &mut jacobian);
-        (six(&twist), jacobian.column_iter().map(|column| column.into_owned()).collect())
+        let six = Vector6::from_iterator(twist.linear.iter().chain(&twist.angular).copied());
+        (six, jacobian.column_iter().map(|column| column.into_owned()).collect())
     }
 
     /// The joint positions along a way of the TCP, one every `dt` s, from those of a sample. The null space pulls towards these.
@@ -296,11 +280,9 @@ impl LeasedArm {
         for point in way {
             let mut off = f64::INFINITY;
             for _ in 0..SETTLES {
-                let tcp = self.model.link_pose(&q, self.tcp);
-                let position = point.pose.translation.vector - tcp.translation.vector;
-                let rotation = (point.pose.rotation * tcp.rotation.inverse()).scaled_axis();
-                off = position.norm();
-                let twist = Twist { linear: position / dt, angular: rotation / dt };
+                let error = pose_error(&self.model.link_pose(&q, self.tcp), &point.pose);
+                off = error.linear.norm();
+                let twist = Twist { linear: error.linear / dt, angular: error.angular / dt };
                 let step = self.ik.step(&q, &twist, Some(&begin));
                 for (&joint, speed) in self.leases.joints.iter().zip(step.velocities) {
                     q[joint] += speed * dt;
@@ -337,11 +319,9 @@ impl LeasedArm {
         linear: Vector3<f64>,
         angular: Vector3<f64>,
     ) -> Result<f64, Failure> {
-        let tcp = self.tcp(sample);
-        let position = target.translation.vector - tcp.translation.vector;
-        let rotation = (target.rotation * tcp.rotation.inverse()).scaled_axis();
-        self.twist(sample, linear + TRACKING_GAIN * position, angular + TRACKING_GAIN * rotation)?;
-        Ok(position.norm())
+        let error = pose_error(&self.tcp(sample), target);
+        self.twist(sample, linear + TRACKING_GAIN * error.linear, angular + TRACKING_GAIN * error.angular)?;
+        Ok(error.linear.norm())
     }
 
     /// Moves the TCP on a straight line to a pose (root frame) at `speed` m/s, until it has rested there; `check` takes the distance from the
@@ -374,11 +354,6 @@ impl LeasedArm {
         Ok(step.twist)
     }
 
-    /// Moves the joints with which it reaches, rad/s (m/s), in their order.
-    pub(crate) fn command(&self, velocities: &[f64]) -> Result<(), Failure> {
-        self.leases.command(velocities)
-    }
-
     /// Holds the arm still.
     pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
         self.twist(sample, Vector3::zeros(), Vector3::zeros()).map(|_| ())
@@ -386,13 +361,8 @@ impl LeasedArm {
 
     /// Holds its joints still, and with them what the null space would move.
     pub(crate) fn stand(&self) -> Result<(), Failure> {
-        self.command(&vec![0.0; self.joints().len()])
+        self.leases.command(&vec![0.0; self.leases.joints.len()])
     }
-}
-
-fn six(twist: &Twist) -> Vector6<f64> {
-    let (l, a) = (twist.linear, twist.angular);
-    Vector6::new(l.x, l.y, l.z, a.x, a.y, a.z)
 }
 
 /// The joints with which an arm could reach now: its own, and those of its helpers that nobody else commands.
@@ -410,7 +380,7 @@ pub(crate) fn lease(
     limb: &str,
     touches: &[String],
 ) -> Result<Lease, Failure> {
-    try_lease(equipment, context, &[limb], touches).map_err(|error| Failure::new(error.to_string()))
+    try_lease(equipment, context, &[limb], touches).map_err(failed)
 }
 
 fn try_lease(

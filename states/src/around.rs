@@ -14,8 +14,9 @@ use armarium_robot::{
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3};
 
-use crate::arm::{ArmLeases, Senses};
+use crate::arm::{ArmLeases, Senses, tcp_of};
 use crate::equipment::Equipment;
+use crate::grasp::held_in_tcp;
 use crate::motions::failed;
 use crate::places::{Known, distance, known};
 
@@ -58,14 +59,11 @@ impl Around {
         target: Option<&Isometry3<f64>>,
     ) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
-        let tcp = arm.tcp.ok_or_else(|| Failure::new(format!("`{}` has no TCP", arm.name)))?;
-        let grasp = model.hand_of(arm).map_or_else(Isometry3::identity, |hand| hand.grasp_in_tcp);
+        let tcp = tcp_of(arm)?;
+        let held = model.hand_of(arm).map_or_else(Point3::origin, held_in_tcp);
         let here = model.link_pose(now, tcp);
-        let grasps: Vec<Point3<f64>> = [Some(&here), target]
-            .into_iter()
-            .flatten()
-            .map(|root_from_tcp| Point3::from((root_from_tcp * grasp).translation.vector))
-            .collect();
+        let grasps: Vec<_> =
+            target.into_iter().chain([&here]).map(|root_from_tcp| root_from_tcp * held).collect();
         let loads = equipment.robot.loads();
         let in_the_way = |known: &Known| {
             let held =
@@ -107,8 +105,7 @@ impl Around {
     }
 
     fn plan(&self, planner: &mut Planner, now: &[f64], goal: &[f64]) -> Result<Path, Failure> {
-        let path = planner.plan(&self.joints, now, goal, self.equipment.seed);
-        path.map_err(|error| Failure::new(error.to_string()))
+        planner.plan(&self.joints, now, goal, self.equipment.seed).map_err(failed)
     }
 
     fn plan_to_pose(
@@ -122,7 +119,7 @@ impl Around {
         match planner.check(&line) {
             Ok(()) => return Ok(None),
             Err(PlanError::WayBlocked(_) | PlanError::GoalBlocked(_)) => {}
-            Err(other) => return Err(Failure::new(other.to_string())),
+            Err(other) => return Err(failed(other)),
         }
         let end = line.last().map_or(now, Vec::as_slice);
         let error = pose_error(&self.model.link_pose(end, self.tcp), target);
@@ -139,7 +136,7 @@ impl Around {
             &PoseOptions::default(),
             &mut self.equipment.random(),
         );
-        let mut goal = solved.map_err(|error| Failure::new(error.to_string()))?;
+        let mut goal = solved.map_err(failed)?;
         // The other joints stay where they are.
         let moved: Vec<f64> = self.joints.iter().map(|&j| goal[j]).collect();
         goal.copy_from_slice(now);
@@ -180,18 +177,16 @@ async fn planned<T: Send + 'static>(
     planned.map_err(|error| Failure::new(format!("planning ended early: {error}")))?
 }
 
-/// Moves joints along a path of all joints, from corner to corner, all joints together. `command` takes the velocities of
-/// `joints`, rad/s (m/s).
+/// Moves what is leased along a path of all joints, from corner to corner, all joints together.
 ///
 /// # Errors
 /// When the last corner is not reached within `timeout` s, or the arm is taken away.
 pub(crate) async fn follow(
     senses: &mut Senses,
     model: &Model,
-    joints: &[usize],
+    leases: &ArmLeases,
     path: &Path,
     (tolerance, timeout): (f64, f64),
-    mut command: impl FnMut(&[f64]) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     /// The share of each joint's speed and acceleration limits that is used.
     const SPEED_SHARE: f64 = 0.8;
@@ -209,7 +204,7 @@ pub(crate) async fn follow(
             elapsed += dt;
             // All joints arrive together: the slowest one determines the speed, including braking.
             let error = |joint: usize| corner[joint] - sample.position[joint];
-            let moved = || joints.iter().copied();
+            let moved = || leases.joints.iter().copied();
             let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
             if worst < tolerance {
                 break;
@@ -225,7 +220,7 @@ pub(crate) async fn follow(
                 .fold(0.0, f64::max);
             let time_left = time_left.max(braking).max(0.08);
             let velocity: Vec<f64> = moved().map(|j| error(j) / time_left).collect();
-            command(&velocity)?;
+            leases.command(&velocity)?;
         }
     }
     Ok(())

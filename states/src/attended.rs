@@ -6,13 +6,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot};
+use armarium_memoryx::{EntityId, Memory, Query, Snapshot};
 use armarium_runtime::attention::Need;
 use armarium_runtime::observed::MemoryPattern;
 use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 use nalgebra::Point3;
 
+use crate::arm::seconds;
 use crate::inputs::{as_point, as_pose, entity_of, pattern_of};
 use crate::motions::{self, failed};
 use crate::places::Remembered;
@@ -39,7 +40,7 @@ const PEOPLE: [&str; 2] = ["HumanHands", "HumanPoses"];
 const THINGS: &str = "ObjectInstances";
 
 /// A place that is to be watched.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct AttendedPlace {
     /// Its name for people: of the entity, or of what takes place there.
     pub(crate) name: String,
@@ -134,10 +135,10 @@ impl AttendedPlaces {
     ) -> Result<Vec<AttendedPlace>, Failure> {
         let mut found = Vec::new();
         for segment in PEOPLE {
-            let people = of_segment(remembered.memory, segment).await?;
+            let people = remembered.memory.segment(segment).await.map_err(failed)?;
             found.extend(people.iter().filter_map(|person| seen(remembered, person, now_ns)));
         }
-        let things = of_segment(remembered.memory, THINGS).await?;
+        let things = remembered.memory.segment(THINGS).await.map_err(failed)?;
         self.moved.retain(|id, _| things.iter().any(|thing| thing.id == *id));
         for thing in &things {
             let Some(watched) = seen(remembered, thing, now_ns) else { continue };
@@ -173,17 +174,8 @@ fn add(all: &mut BTreeMap<String, AttendedPlace>, found: AttendedPlace, need: &N
 
 /// A place to which anybody may come.
 fn somewhere(name: String, place: Point3<f64>) -> AttendedPlace {
-    let (within, weight) = (STIMULUS_WITHIN, STIMULUS);
-    AttendedPlace {
-        name,
-        place,
-        deviation: ANYBODY,
-        within,
-        weight,
-        needed_by: Vec::new(),
-        class: None,
-        seen_ns: 0,
-    }
+    let (deviation, within, weight) = (ANYBODY, STIMULUS_WITHIN, STIMULUS);
+    AttendedPlace { name, place, deviation, within, weight, ..AttendedPlace::default() }
 }
 
 /// What memory knows of an entity, as a stimulus; `None` where it is not known where it is, and of what a hand carries: that is known by the
@@ -217,17 +209,9 @@ async fn named(memory: &dyn Memory, text: &str) -> Result<Vec<Arc<Snapshot>>, Fa
         let named: MemoryPattern = text.parse().map_err(failed)?;
         return memory.query(&Query::latest(pattern_of(&named))).await.map_err(failed);
     }
-    let things = of_segment(memory, THINGS).await?;
+    let things = memory.segment(THINGS).await.map_err(failed)?;
     let of_class = |thing: &&Arc<Snapshot>| thing.attribute("class").and_then(Value::as_str) == Some(text);
     Ok(things.iter().filter(of_class).max_by_key(|thing| thing.referenced_ns).cloned().into_iter().collect())
-}
-
-async fn of_segment(memory: &dyn Memory, segment: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {
-    memory.query(&Query::latest(Pattern::segment(segment))).await.map_err(failed)
-}
-
-fn seconds(from_ns: u64, to_ns: u64) -> f64 {
-    to_ns.saturating_sub(from_ns) as f64 * 1e-9
 }
 
 #[cfg(test)]
@@ -258,8 +242,7 @@ mod tests {
         let instance = Instance::new(attributes);
         let instances = vec![if placed { instance.with_covariance("position", rows) } else { instance }];
         let id = id.parse().unwrap();
-        let commit = Commit { id, referenced_ns: at_s * SECOND, instances, expected_version: None };
-        memory.commit(vec![commit]).await.unwrap();
+        memory.commit(vec![Commit::of(id, at_s * SECOND, instances)]).await.unwrap();
     }
 
     async fn cup(memory: &WorkingMemory, at_s: u64, x: f64) {

@@ -15,7 +15,7 @@ use crate::equipment::Equipment;
 use crate::grasp::hand;
 use crate::hand::aperture;
 use crate::motions::failed;
-use crate::torso::TurningTorso;
+use crate::torso::{TurningTorso, helps_both};
 
 /// The inputs that say how a load is held.
 const SQUEEZE: &str = "squeeze";
@@ -34,7 +34,7 @@ const BELOW: f64 = 0.2;
 const WAYPOINTS: usize = 6;
 
 /// The arms that hold a load together: the robot's first two.
-fn arms(model: &Model) -> Result<[&Limb; 2], Failure> {
+pub(crate) fn arms(model: &Model) -> Result<[&Limb; 2], Failure> {
     let arms: Vec<&Limb> = model.arms().take(2).collect();
     let none = || Failure::new(format!("the robot `{}` has no two arms: groups with a `tcp`", model.name()));
     arms.try_into().map_err(|_| none())
@@ -48,10 +48,8 @@ pub(crate) fn moves_both(manifest: SkillManifest, equipment: &Equipment) -> Skil
 
 /// Says that a skill commands what helps both arms, too.
 pub(crate) fn turns_torso(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
-    let arms: Vec<&Limb> = equipment.robot.model().arms().take(2).collect();
-    let [first, second] = arms[..] else { return manifest };
-    let both = first.helped_by.iter().filter(|limb| second.helped_by.contains(limb));
-    both.fold(manifest, |manifest, limb| manifest.limb(limb))
+    let Ok(both) = arms(equipment.robot.model()) else { return manifest };
+    helps_both(both).fold(manifest, |manifest, limb| manifest.limb(limb))
 }
 
 /// Adds the inputs that say how a load is held.
@@ -157,7 +155,7 @@ impl BothArms {
             LeasedArm::take_limb(equipment, context, first, &targets(first)?).await?,
             LeasedArm::take_limb(equipment, context, second, &targets(second)?).await?,
         ];
-        arms.iter_mut().for_each(|arm| arm.stay_near(&sample));
+        arms.iter_mut().for_each(|arm| arm.pull_towards(&arm.positions(&sample)));
         let hands = [first, second].map(|limb| {
             let joints = limb.hand.as_deref().map_or(&[][..], |hand| model.limb(hand)).to_vec();
             let apart = aperture(&joints, &sample);

@@ -11,12 +11,12 @@ use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
-use crate::arm::tcp_of;
+use crate::arm::{seconds, tcp_of};
+use crate::both::arms;
 use crate::equipment::Equipment;
 use crate::grasp::{hand, marker};
 use crate::inputs::{Inputs, seen_at, seen_pose};
 use crate::motions::failed;
-use crate::prior::{class_name, object_class};
 use crate::surface::Surface;
 
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
@@ -69,7 +69,7 @@ struct SeenHand {
 impl SeenHand {
     /// Whether no picture has shown both it and the thing for long.
     fn far(&self, now_ns: u64) -> bool {
-        self.object.is_none() || now_ns.saturating_sub(self.at_ns) as f64 * 1e-9 > APART_FOR
+        self.object.is_none() || seconds(self.at_ns, now_ns) > APART_FOR
     }
 }
 
@@ -97,11 +97,7 @@ impl BothSeen {
         context: &SkillContext,
         looks: bool,
     ) -> Result<Self, Failure> {
-        let id = context.entity("object")?;
-        let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
-        let shown = equipment.remembered().root_pose(&snapshot);
-        let shown = shown.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
-        let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
+        let (class, shown) = equipment.remembered().thing(&context.entity("object")?).await?;
         let surface = Surface::under(equipment.remembered(), &shown.translation.vector.into()).await?;
         let model = equipment.robot.model();
         let sample = equipment.robot.sensed().borrow();
@@ -110,10 +106,7 @@ impl BothSeen {
         let up = if looks { surface.normal() } else { Vector3::z_axis() };
         let mounting = CameraMounting::levelled(&left, &up);
         let object = mounting.from_shown(&left) * shown;
-        let arms: Vec<_> = model.arms().take(2).collect();
-        let [first, second] = arms[..] else {
-            return Err(Failure::new(format!("the robot `{}` has no two arms", model.name())));
-        };
+        let [first, second] = arms(model)?;
         let grasps: Vec<Isometry3<f64>> = class.grasps.iter().map(|grasp| grasp.pose.isometry()).collect();
         let tcps = [tcp_of(first)?, tcp_of(second)?].map(|tcp| model.link_pose(&sample.position, tcp));
         let [one, other] = nearest_pair(&object, &grasps, &tcps).ok_or_else(|| {
@@ -169,7 +162,7 @@ impl BothSeen {
         let Some(frame) = sight.newest().map_err(failed)? else { return Ok(()) };
         let eyes = frame.root_from_left.rotation;
         let (before, at) = self.eyes.replace((eyes, frame.stamp_ns)).unwrap_or((eyes, frame.stamp_ns));
-        let passed = frame.stamp_ns.saturating_sub(at).max(1) as f64 * 1e-9;
+        let passed = seconds(at, frame.stamp_ns).max(1e-9);
         let steady = eyes.angle_to(&before) <= STEADY * passed;
         let mut shifts = [None; 2];
         if steady {
@@ -262,12 +255,11 @@ impl BothSeen {
         let own = &self.hands[i];
         let hand = self.link(sample, own.tcp);
         let grasp = own.object.unwrap_or(self.object) * own.object_from_grasp;
-        let back = grasp.rotation * Vector3::x() * -over;
-        let mut target = grasp * own.grasp.inverse();
-        target.translation.vector += back;
+        let back = Translation3::from(grasp.rotation * Vector3::x() * -over);
+        let target = back * (grasp * own.grasp.inverse());
         let age = match (&self.sight, own.object) {
             (None, _) => 0.0,
-            (Some(_), Some(_)) => sample.stamp_ns.saturating_sub(own.at_ns) as f64 * 1e-9,
+            (Some(_), Some(_)) => seconds(own.at_ns, sample.stamp_ns),
             // A hand that does not know where the thing is stays until it does.
             (Some(_), None) => LOST_AFTER,
         };
@@ -291,7 +283,7 @@ impl BothSeen {
             self.turned_to = None;
             return shown(middle);
         }
-        let age = |i: usize| sample.stamp_ns.saturating_sub(self.hands[i].marker_at_ns) as f64 * 1e-9;
+        let age = |i: usize| seconds(self.hands[i].marker_at_ns, sample.stamp_ns);
         let oldest = if age(0) > age(1) { 0 } else { 1 };
         // What it has turned to it looks at until it has seen that.
         if self.turned_to.is_none_or(|hand| age(hand) < SEEN) {

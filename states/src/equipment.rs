@@ -16,6 +16,7 @@ use parking_lot::RwLock;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
+use crate::motions::failed;
 use crate::places::Remembered;
 use crate::running_motion::RunningMotions;
 
@@ -49,7 +50,7 @@ impl Equipment {
     /// The arm that works.
     pub(crate) fn arm(&self) -> Result<&Limb, Failure> {
         let model = self.robot.model();
-        let works = self.works.as_deref().and_then(|works| model.arms().find(|arm| arm.name == works));
+        let works = self.works.as_deref().and_then(|works| model.arm(works));
         let none = || Failure::new(format!("the robot `{}` has no arm: no group with a `tcp`", model.name()));
         works.or_else(|| model.arms().next()).ok_or_else(none)
     }
@@ -58,7 +59,7 @@ impl Equipment {
     pub(crate) fn executing_arm(&self, channels: &Channels) -> Result<&Limb, Failure> {
         let motion = running_motion(channels);
         let name = motion.as_ref().and_then(|motion| motion.get("arm").and_then(Value::as_str));
-        let named = name.and_then(|name| self.robot.model().arms().find(|arm| arm.name == name));
+        let named = name.and_then(|name| self.robot.model().arm(name));
         named.map_or_else(|| self.arm(), Ok)
     }
 
@@ -86,8 +87,7 @@ impl Equipment {
     /// Where a link of the robot was at a time of its samples, for instance that of a picture: its pose in the root frame.
     pub(crate) fn link_at(&self, link: LinkId, stamp_ns: u64) -> Result<Isometry3<f64>, Failure> {
         let frame = Frame(self.robot.model().links()[link.index()].name.clone());
-        let known = self.transforms.read().transform(&Frame::root(), &frame, stamp_ns);
-        known.map_err(|error| Failure::new(error.to_string()))
+        self.transforms.read().transform(&Frame::root(), &frame, stamp_ns).map_err(failed)
     }
 }
 

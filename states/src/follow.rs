@@ -11,6 +11,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{lease, workspace};
 use crate::equipment::Equipment;
+use crate::motions::failed;
 
 /// Radius of the circle in which the hand is free, m, and the gain of what is beyond it, 1/s.
 const FREE: f64 = 0.12;
@@ -74,6 +75,6 @@ impl FollowingPlatform {
     }
 
     fn command(&self, v: Vector3<f64>) -> Result<(), Failure> {
-        self.lease.command(&[v.x, v.y, 0.0]).map_err(|fault| Failure::new(fault.to_string()))
+        self.lease.command(&[v.x, v.y, 0.0]).map_err(failed)
     }
 }

@@ -6,6 +6,7 @@ use armarium_runtime::skill::{Failure, SkillContext};
 use crate::arm::{at_hand, chosen, lease};
 use crate::equipment::Equipment;
 use crate::grasp::hand;
+use crate::motions::failed;
 
 /// An arm's hand with its lease.
 pub(crate) struct Hand {
@@ -48,7 +49,7 @@ impl Hand {
     pub(crate) fn towards(&self, sample: &Sensed, shape: &[f64]) -> Result<f64, Failure> {
         let off = || self.joints.iter().zip(shape).map(|(&j, goal)| goal - sample.position[j]);
         let velocities: Vec<f64> = off().map(|off| SHAPING_GAIN * off).collect();
-        self.lease.command(&velocities).map_err(|fault| Failure::new(fault.to_string()))?;
+        self.lease.command(&velocities).map_err(failed)?;
         Ok(off().fold(0.0, |most, off| most.max(off.abs())))
     }
 
@@ -57,7 +58,7 @@ impl Hand {
         let positions: Vec<f64> = self.joints.iter().map(|&j| sample.position[j]).collect();
         let mean = positions.iter().sum::<f64>() / positions.len().max(1) as f64;
         let velocities: Vec<f64> = positions.iter().map(|p| -speed + CENTRING_GAIN * (mean - p)).collect();
-        self.lease.command(&velocities).map_err(|fault| Failure::new(fault.to_string()))
+        self.lease.command(&velocities).map_err(failed)
     }
 }
 

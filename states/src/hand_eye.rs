@@ -116,7 +116,7 @@ mod tests {
         }
 
         async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-            let [left, right] = [0, 1].map(|_| RgbImage::painted(1, 1, |_, _| [0; 3]));
+            let [left, right] = [0, 1].map(|_| RgbImage::painted(1, 1, |_, _| [0; 3]).into());
             Ok(Arc::new(StereoFrame { stamp_ns: 1, left, right, depth: None, root_from_left: self.0 }))
         }
     }

@@ -10,6 +10,7 @@ use nalgebra::{Isometry3, Point3, Unit, Vector3, center};
 
 use crate::arm::lease;
 use crate::equipment::Equipment;
+use crate::motions::failed;
 
 /// The limb that turns the cameras, if there is one.
 fn head(model: &Model) -> Option<&str> {
@@ -46,7 +47,7 @@ impl Head {
         let model = Arc::clone(equipment.robot.model());
         let lease = head(&model).map(|head| lease(equipment, context, head, &[])).transpose()?;
         let joints = head(&model).map_or_else(Vec::new, |head| model.limb(head).to_vec());
-        let gaze = Gaze::of(&model).map_err(|e| Failure::new(e.to_string()))?;
+        let gaze = Gaze::of(&model).map_err(failed)?;
         Ok(Self { lease, joints, model, gaze, goal: None })
     }
 
@@ -102,7 +103,7 @@ impl Head {
         let towards = |&j: &usize| (GAIN * (goal.0[j] - sample.position[j])).clamp(-speed, speed);
         let velocity: Vec<f64> = self.joints.iter().map(towards).collect();
         self.goal = Some(goal);
-        lease.command(&velocity).map_err(|fault| Failure::new(fault.to_string()))?;
+        lease.command(&velocity).map_err(failed)?;
         Ok(angle)
     }
 

@@ -2,7 +2,6 @@
 //!
 //! It moves no hand; the skills that do say here what has been taken and what has been let go.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::updater::{Carriers, MotionModel, Settings, carried, predict};
@@ -87,11 +86,7 @@ pub(crate) async fn take(
             commits.push(moving(&own, &snapshot, stamp_ns, &(root_from_thing * offset), &model));
         }
     }
-    let related = BTreeMap::from([
-        ("subject".to_owned(), Value::from(id.as_str())),
-        ("relation".to_owned(), Value::from("in")),
-        ("object".to_owned(), Value::from(name)),
-    ]);
+    let related = [("subject", id.as_str().into()), ("relation", "in".into()), ("object", name.into())];
     commits.push(Commit::new(relation(equipment, &id, hand)?, stamp_ns, related));
     equipment.memory.commit(commits).await.map_err(failed)?;
     Ok(id)
@@ -161,8 +156,7 @@ pub(crate) async fn let_go(equipment: &Equipment, hand: &str) -> Result<(), Fail
         attributes.retain(|name, _| !["attached_to", "offset"].contains(&name.as_str()));
         attributes.extend(MotionModel::Static.attributes());
         let instances = vec![Instance { attributes: attributes.into(), ..instance.clone() }];
-        let (id, referenced_ns) = (thing.id.clone(), thing.referenced_ns);
-        commits.push(Commit { id, referenced_ns, instances, expected_version: None });
+        commits.push(Commit::of(thing.id.clone(), thing.referenced_ns, instances));
     }
     if !commits.is_empty() {
         equipment.memory.commit(commits).await.map_err(failed)?;
@@ -187,13 +181,7 @@ pub(crate) async fn carry_on(equipment: &Equipment, hands: &OwnHands) -> Result<
         if let Some((_, place)) = predict(thing, now_ns, &things, hands, &Settings::default()) {
             carried = carried.with_covariance("position", place.covariance().transpose().as_slice().to_vec());
         }
-        let commit = Commit {
-            id: thing.id.clone(),
-            referenced_ns: now_ns,
-            instances: vec![carried],
-            expected_version: None,
-        };
-        commits.push(commit.expecting(thing.version));
+        commits.push(Commit::of(thing.id.clone(), now_ns, vec![carried]).expecting(thing.version));
     }
     if !commits.is_empty() {
         equipment.memory.commit(commits).await.map_err(failed)?;

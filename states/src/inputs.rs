@@ -6,6 +6,8 @@ use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::{Frame, Observation, Pose, Reference, Value};
 use nalgebra::{Isometry3, Point3, Vector3};
 
+use crate::motions::failed;
+
 /// Typed inputs of the robot and the memory, in addition to those of [`SkillContext`].
 pub(crate) trait Inputs {
     /// A pose in the root frame.
@@ -14,6 +16,10 @@ pub(crate) trait Inputs {
     fn flag(&self, name: &str) -> Result<bool, Failure>;
     /// The memory address in a reference.
     fn entity(&self, name: &str) -> Result<EntityId, Failure>;
+    /// Three numbers.
+    fn vector(&self, name: &str) -> Result<Vector3<f64>, Failure>;
+    /// Three numbers; `None` where the list is empty.
+    fn vector_if_given(&self, name: &str) -> Result<Option<Vector3<f64>>, Failure>;
 }
 
 impl Inputs for SkillContext {
@@ -30,6 +36,16 @@ impl Inputs for SkillContext {
         let value = self.value(name)?;
         let reference = value.as_reference().ok_or_else(|| Failure::input(name, "a reference", value))?;
         entity_of(reference)
+    }
+
+    fn vector(&self, name: &str) -> Result<Vector3<f64>, Failure> {
+        let none = || Failure::new(format!("`{name}` needs three numbers"));
+        as_vector(self.value(name)?).ok_or_else(none)
+    }
+
+    fn vector_if_given(&self, name: &str) -> Result<Option<Vector3<f64>>, Failure> {
+        let is_empty = self.value(name)?.as_list().is_some_and(<[Value]>::is_empty);
+        if is_empty { Ok(None) } else { self.vector(name).map(Some) }
     }
 }
 
@@ -77,9 +93,7 @@ pub(crate) fn as_point(value: &Value) -> Option<Point3<f64>> {
 pub(crate) fn entity_of(reference: &Reference) -> Result<EntityId, Failure> {
     let parts: Vec<&str> = reference.id.split('/').collect();
     match parts.as_slice() {
-        [segment, provider, entity] => {
-            EntityId::new(segment, provider, entity).map_err(|e| Failure::new(e.to_string()))
-        }
+        [segment, provider, entity] => EntityId::new(segment, provider, entity).map_err(failed),
         _ => Err(Failure::new(format!(
             "`{}` is not a memory address: it needs segment/provider/entity",
             reference.id

@@ -1,6 +1,5 @@
 //! Finds, reads and writes motions in working memory. A running motion is in `running_motion/`.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, Snapshot};
@@ -30,15 +29,13 @@ pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
 
 /// Reads the motion of a snapshot.
 pub(crate) fn kept_in(snapshot: &Snapshot) -> Result<Kept, Failure> {
-    let unusable = |e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id));
-    if let Some(value) = snapshot.attribute("movement") {
-        return serde_json::from_value(value.to_json())
-            .map(|it| Kept::Movement(Box::new(it)))
-            .map_err(unusable);
-    }
-    let value = snapshot.attribute("motion");
-    let value = value.ok_or_else(|| Failure::new(format!("the entity `{}` holds no motion", snapshot.id)))?;
-    serde_json::from_value(value.to_json()).map(|it| Kept::Motion(Box::new(it))).map_err(unusable)
+    let json = |name: &str| snapshot.attribute(name).map(Value::to_json);
+    let kept = match (json("movement"), json("motion")) {
+        (Some(movement), _) => serde_json::from_value(movement).map(Kept::Movement),
+        (None, Some(motion)) => serde_json::from_value(motion).map(Kept::Motion),
+        (None, None) => return Err(Failure::new(format!("the entity `{}` holds no motion", snapshot.id))),
+    };
+    kept.map_err(|e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id)))
 }
 
 /// The newest version of a motion.
@@ -50,12 +47,15 @@ pub(crate) async fn load(memory: &dyn Memory, id: &EntityId) -> Result<(Motion, 
 /// The newest motion of that name, from any agent.
 pub(crate) async fn find(memory: &dyn Memory, name: &str) -> Result<Arc<Snapshot>, Failure> {
     let known = memory.segment(SEGMENT).await.map_err(failed)?;
-    let newest = known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns);
-    newest.cloned().ok_or_else(|| {
+    newest(&known, name).cloned().ok_or_else(|| {
         let names: Vec<&str> = known.iter().map(|s| s.id.entity()).collect();
         let known = if names.is_empty() { "no motion".to_owned() } else { names.join(", ") };
         Failure::new(format!("memory has no motion `{name}`; it has {known}"))
     })
+}
+
+fn newest<'k>(known: &'k [Arc<Snapshot>], name: &str) -> Option<&'k Arc<Snapshot>> {
+    known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns)
 }
 
 /// The address of an agent's motion.
@@ -81,8 +81,7 @@ pub(crate) async fn keep(
         ("learned_from", Value::from(movement.learned_from())),
         ("movement", written(id, serde_json::to_value(movement))?),
     ];
-    memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
-    Ok(())
+    memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map(drop).map_err(failed)
 }
 
 /// What one hand learned to move with the other, for a task that is told in one line.
@@ -102,8 +101,7 @@ impl LearnedTogether {
     /// What was kept under a name, by any agent; `None` if nothing was.
     pub(crate) async fn recall(memory: &dyn Memory, name: &str) -> Result<Option<Self>, Failure> {
         let known = memory.segment(SEGMENT).await.map_err(failed)?;
-        let newest = known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns);
-        newest.map(|snapshot| Self::of(snapshot)).transpose()
+        newest(&known, name).map(|snapshot| Self::of(snapshot)).transpose()
     }
 
     fn of(snapshot: &Snapshot) -> Result<Self, Failure> {
@@ -127,15 +125,14 @@ impl LearnedTogether {
     /// Writes it as the newest version of its entity.
     pub(crate) async fn keep(self, memory: &dyn Memory, id: &EntityId, stamp_ns: u64) -> Result<(), Failure> {
         let weights = self.control_weights.into_iter().map(Value::Float).collect();
-        let attributes = BTreeMap::from([
-            ("name".to_owned(), Value::from(id.entity())),
-            ("kind".to_owned(), Value::from(Self::KIND)),
-            ("task".to_owned(), Value::from(self.task)),
-            ("epochs".to_owned(), Value::Int(i64::from(self.epochs))),
-            ("control_weights".to_owned(), Value::List(weights)),
-        ]);
-        memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map_err(failed)?;
-        Ok(())
+        let attributes = [
+            ("name", Value::from(id.entity())),
+            ("kind", Value::from(Self::KIND)),
+            ("task", Value::from(self.task)),
+            ("epochs", Value::Int(i64::from(self.epochs))),
+            ("control_weights", Value::List(weights)),
+        ];
+        memory.commit(vec![Commit::new(id.clone(), stamp_ns, attributes)]).await.map(drop).map_err(failed)
     }
 }
 
@@ -151,8 +148,7 @@ pub(crate) async fn store(
     motion: &Motion,
     stamp_ns: u64,
 ) -> Result<(), Failure> {
-    memory.commit(vec![commit(id, motion, stamp_ns, None)?]).await.map_err(failed)?;
-    Ok(())
+    memory.commit(vec![commit(id, motion, stamp_ns, None)?]).await.map(drop).map_err(failed)
 }
 
 /// The commit of a motion, refused unless `expected_version` is the newest.

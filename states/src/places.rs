@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::{EntityId, Memory, Pattern, Query, Snapshot, WORLD};
+use armarium_memoryx::{EntityId, Memory, ObjectClass, Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;
@@ -12,7 +12,7 @@ use parking_lot::RwLock;
 
 use crate::inputs::as_pose;
 use crate::motions::failed;
-use crate::prior::{class_name, object_class};
+use crate::prior::class_of;
 
 /// A place without thickness is a surface that was seen from above; it is taken for this thick, m.
 const THICKNESS: f64 = 0.02;
@@ -33,6 +33,19 @@ pub(crate) struct Remembered<'a> {
 }
 
 impl Remembered<'_> {
+    /// An entity, and where it is, root frame.
+    pub(crate) async fn find(&self, id: &EntityId) -> Result<(Arc<Snapshot>, Isometry3<f64>), Failure> {
+        let known = self.memory.latest(id).await.map_err(failed)?;
+        let pose = self.root_pose(&known);
+        Ok((known, pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?))
+    }
+
+    /// The class of a thing, and where it is, root frame.
+    pub(crate) async fn thing(&self, id: &EntityId) -> Result<(ObjectClass, Isometry3<f64>), Failure> {
+        let (known, pose) = self.find(id).await?;
+        Ok((class_of(self.memory, &known).await?, pose))
+    }
+
     /// The pose that a snapshot holds, root frame: in that frame, or in one of which it is known where it stands to it, such as
     /// `world`.
     pub(crate) fn root_pose(&self, snapshot: &Snapshot) -> Option<Isometry3<f64>> {
@@ -81,12 +94,11 @@ pub(crate) async fn known(remembered: Remembered<'_>) -> Result<Vec<Known>, Fail
     let memory = remembered.memory;
     let mut all: Vec<Known> =
         places(remembered).await?.into_iter().map(|shape| Known { shape, thing: None }).collect();
-    for thing in segment(memory, "ObjectInstances").await? {
+    for thing in memory.segment("ObjectInstances").await.map_err(failed)? {
         if thing.attribute("attached_to").is_some() {
             continue;
         }
-        let Ok(class) = class_name(&thing) else { continue };
-        let Ok(class) = object_class(memory, class).await else { continue };
+        let Ok(class) = class_of(memory, &thing).await else { continue };
         all.extend(
             shape(remembered, &thing, class.size).map(|shape| Known { shape, thing: Some(thing.id.clone()) }),
         );
@@ -104,7 +116,7 @@ pub(crate) async fn places_where(
     remembered: Remembered<'_>,
     wanted: impl Fn(&Snapshot) -> bool,
 ) -> Result<Vec<KnownBox>, Failure> {
-    let known = segment(remembered.memory, PLACES).await?;
+    let known = remembered.memory.segment(PLACES).await.map_err(failed)?;
     let place = |place: &Arc<Snapshot>| {
         let mut size = place.attribute("size").and_then(Value::as_vector3)?;
         let is_surface = size[2] == 0.0;
@@ -118,10 +130,6 @@ pub(crate) async fn places_where(
         Some(shape)
     };
     Ok(known.iter().filter(|known| wanted(known)).filter_map(place).collect())
-}
-
-async fn segment(memory: &dyn Memory, name: &str) -> Result<Vec<Arc<Snapshot>>, Failure> {
-    memory.query(&Query::latest(Pattern::segment(name))).await.map_err(failed)
 }
 
 fn shape(remembered: Remembered<'_>, snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {

@@ -1,6 +1,6 @@
 //! Prior knowledge for skills: colour, size and mass of object classes.
 
-use armarium_memoryx::{EntityId, Memory, ObjectClass, Snapshot};
+use armarium_memoryx::{Memory, ObjectClass, Snapshot};
 use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 
@@ -16,21 +16,16 @@ pub(crate) async fn object_class(memory: &dyn Memory, name: &str) -> Result<Obje
     ObjectClass::from_snapshot(found).map_err(failed)
 }
 
-/// The class name of an object in memory. It is an attribute, because an object's own name may differ from it.
-pub(crate) fn class_name(object: &Snapshot) -> Result<&str, Failure> {
+/// The class of an object in memory. It is an attribute, because an object's own name may differ from it.
+pub(crate) async fn class_of(memory: &dyn Memory, object: &Snapshot) -> Result<ObjectClass, Failure> {
     let class = object.attribute("class").and_then(Value::as_str);
-    class.ok_or_else(|| Failure::new(format!("memory does not know what `{}` is", object.id)))
-}
-
-/// The class of an object in memory.
-pub(crate) async fn class_of(memory: &dyn Memory, object: &EntityId) -> Result<ObjectClass, Failure> {
-    let snapshot = memory.latest(object).await.map_err(failed)?;
-    object_class(memory, class_name(&snapshot)?).await
+    let unknown = || Failure::new(format!("memory does not know what `{}` is", object.id));
+    object_class(memory, class.ok_or_else(unknown)?).await
 }
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Commit, PriorKnowledge, WorkingMemory, tokio_clock};
+    use armarium_memoryx::{Commit, EntityId, PriorKnowledge, WorkingMemory, tokio_clock};
 
     use super::*;
 
@@ -44,9 +39,9 @@ mod tests {
         let object = |name: &str, class: &str| Commit::new(id(name), 0, [("class", Value::from(class))]);
         let objects = [("the yellow one", "sponge"), ("sponge", "brick")];
         memory.commit(objects.map(|(name, class)| object(name, class)).to_vec()).await.unwrap();
-        let class = class_of(&memory, &id("the yellow one")).await.unwrap();
-        assert_eq!(class.color, [250, 200, 20]);
-        let reason = async |name: &str| class_of(&memory, &id(name)).await.err().unwrap().reason;
-        assert_eq!(reason("sponge").await, "prior knowledge has no object `brick`; it has sponge");
+        let class = async |name: &str| class_of(&memory, &memory.latest(&id(name)).await.unwrap()).await;
+        assert_eq!(class("the yellow one").await.unwrap().color, [250, 200, 20]);
+        let reason = class("sponge").await.unwrap_err().reason;
+        assert_eq!(reason, "prior knowledge has no object `brick`; it has sponge");
     }
 }

@@ -5,6 +5,7 @@ use armarium_runtime::skill::Failure;
 
 use crate::arm::tcp_of;
 use crate::equipment::Equipment;
+use crate::motions::failed;
 use crate::wiper::Wiper;
 
 /// Number of points of the path that are checked.
@@ -18,8 +19,8 @@ const POINTS: usize = 48;
 pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) -> Result<f64, Failure> {
     let model = equipment.robot.model();
     let (arm, motion) = (&wiper.arm, wiper.motion());
-    let (joints, link) = (arm.joints(), tcp_of(&arm.limb)?);
-    let path = motion.primitive().steady_path(POINTS).map_err(|e| Failure::new(e.to_string()))?;
+    let (joints, link) = (&arm.leases.joints, tcp_of(&arm.limb)?);
+    let path = motion.primitive().steady_path(POINTS).map_err(failed)?;
     let pose = |s: usize| {
         let point = &path.y[s % path.len()];
         wiper.pose_at([point[0], point[1]], over)

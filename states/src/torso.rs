@@ -11,6 +11,7 @@ use nalgebra::{Isometry3, Point3, Rotation2, Vector2, Vector3};
 
 use crate::arm::lease;
 use crate::equipment::Equipment;
+use crate::motions::failed;
 
 /// A joint is upright within this angle, rad.
 const UPRIGHT: f64 = 0.3;
@@ -20,6 +21,11 @@ const SMOOTH: f64 = 0.1;
 /// The share of the joint's speed that it uses, and how far from its limits it stops, rad.
 const SPEED_SHARE: f64 = 0.9;
 const MARGIN: f64 = 0.03;
+
+/// The limbs that help both arms.
+pub(crate) fn helps_both([first, second]: [&Limb; 2]) -> impl Iterator<Item = &String> {
+    first.helped_by.iter().filter(|limb| second.helped_by.contains(limb))
+}
 
 /// The torso, leased.
 pub(crate) struct TurningTorso {
@@ -40,11 +46,11 @@ impl TurningTorso {
     pub(crate) fn take(
         equipment: &Equipment,
         context: &SkillContext,
-        [first, second]: [&Limb; 2],
+        arms: [&Limb; 2],
         (sample, hands): (&Sensed, &[Isometry3<f64>; 2]),
     ) -> Option<Self> {
         let model = Arc::clone(equipment.robot.model());
-        let limb = first.helped_by.iter().find(|limb| second.helped_by.contains(limb))?;
+        let limb = helps_both(arms).next()?;
         let joints = model.limb(limb).to_vec();
         let mut kinematics = Kinematics::new(&model);
         kinematics.update(&sample.position);
@@ -81,7 +87,7 @@ impl TurningTorso {
         self.rate += (wanted - self.rate) * (1.0 - (-dt / SMOOTH).exp());
         let command: Vec<f64> =
             self.joints.iter().map(|joint| if *joint == self.joint { self.rate } else { 0.0 }).collect();
-        self.lease.command(&command).map_err(|fault| Failure::new(fault.to_string()))
+        self.lease.command(&command).map_err(failed)
     }
 
     /// The twist with which it carries a link that it moves, root frame, m/s and rad/s.

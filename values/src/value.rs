@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{Pose, Vector, Wrench};
+use crate::geometry::{Frame, Pose, Vector, Wrench};
 
 /// A typed value. Numbers are SI; durations are seconds.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -157,6 +157,18 @@ impl Value {
             Self::List(items) => items.iter().any(below),
             Self::Map(fields) => fields.values().any(below),
             _ => false,
+        }
+    }
+
+    /// The frame of a vector, a pose or a wrench, or of the first part of a list or map that has one.
+    pub fn frame(&self) -> Option<&Frame> {
+        match self {
+            Self::Vector(vector) => Some(&vector.frame),
+            Self::Pose(pose) => Some(&pose.frame),
+            Self::Wrench(wrench) => Some(&wrench.frame),
+            Self::List(items) => items.iter().find_map(Self::frame),
+            Self::Map(fields) => fields.values().find_map(Self::frame),
+            _ => None,
         }
     }
 

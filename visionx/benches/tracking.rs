@@ -9,6 +9,7 @@
 
 use std::error::Error;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use armarium_visionx::files::read_image;
@@ -80,8 +81,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let root_from_left = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
     let mut frame = StereoFrame {
         stamp_ns: 0,
-        left: eye(0.0, 1),
-        right: eye(CALIBRATION.baseline, 2),
+        left: eye(0.0, 1).into(),
+        right: eye(CALIBRATION.baseline, 2).into(),
         depth: None,
         root_from_left,
     };
@@ -92,7 +93,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, [40, 170, 60], None, 1);
     measure("marker tracking", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
-        tracking.update(&frame).is_some()
+        tracking.update(&frame, None).is_some()
     });
     let mut observer = HandObserver::new(CALIBRATION);
     measure("hand, gesture, fingertips", STEREO, |i| {
@@ -120,7 +121,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     frame.root_from_left.translation.z = 1.0 + DEPTH;
     let (width, height) = (CALIBRATION.camera.width, CALIBRATION.camera.height);
     let data = vec![DEPTH as f32; width as usize * height as usize];
-    frame.depth = Some(DepthImage { width, height, data });
+    frame.depth = Some(Arc::new(DepthImage { width, height, data }));
     let marker = ColorMarkerObjectTracking::new(CALIBRATION, [40, 170, 60], None, 1);
     let mut together: Vec<Box<dyn StereoStep>> = vec![
         Box::new(HandStep::new(HandObserver::new(CALIBRATION))),

@@ -125,7 +125,8 @@ fn link(runs: &[PixelRun]) -> Vec<usize> {
     parents
 }
 
-fn root(parents: &mut [usize], mut i: usize) -> usize {
+/// The one at the end of the chain of parents.
+pub(crate) fn root(parents: &mut [usize], mut i: usize) -> usize {
     while parents[i] != i {
         parents[i] = parents[parents[i]];
         i = parents[i];

@@ -1,8 +1,8 @@
-//! The Euclidean distance transform, from `imageproc`, for masks.
+//! Distance transforms, from `imageproc`, for masks.
 
 use image::{GrayImage, Luma};
 use imageproc::definitions::Image;
-use imageproc::distance_transform::euclidean_squared_distance_transform;
+use imageproc::distance_transform::{Norm, distance_transform, euclidean_squared_distance_transform};
 
 use crate::mask::{Mask, Region};
 
@@ -30,11 +30,22 @@ pub(crate) fn to_set(mask: &Mask) -> Vec<f32> {
     squared.pixels().map(|d| d.0[0].sqrt() as f32).collect()
 }
 
+/// For each pixel of a mask, the distance to the nearest unset one in steps along rows and columns, 255 at most; what is outside of
+/// its region does not count.
+pub(crate) fn steps_inside(mask: &Mask) -> Vec<u8> {
+    let (w, h) = (mask.width() as u32, mask.height() as u32);
+    let unset = white(w, h, |x, y| mask.row(y as usize)[x as usize] == 0);
+    distance_transform(&unset, Norm::L1).into_raw()
+}
+
 /// The squared distance of every pixel to the nearest source.
 fn squared_to_nearest(w: u32, h: u32, is_source: impl Fn(u32, u32) -> bool) -> Image<Luma<f64>> {
-    // The transform measures from white pixels.
-    let white = GrayImage::from_fn(w, h, |x, y| Luma([if is_source(x, y) { 255 } else { 0 }]));
-    euclidean_squared_distance_transform(&white)
+    euclidean_squared_distance_transform(&white(w, h, is_source))
+}
+
+/// An image with the sources in white, from which the transforms measure.
+fn white(w: u32, h: u32, is_source: impl Fn(u32, u32) -> bool) -> GrayImage {
+    GrayImage::from_fn(w, h, |x, y| Luma([if is_source(x, y) { 255 } else { 0 }]))
 }
 
 #[cfg(test)]

@@ -159,6 +159,7 @@ mod tests {
     use crate::frame::DepthImage;
     use nalgebra::Isometry3;
     use rand::{RngExt, SeedableRng};
+    use std::sync::Arc;
 
     const CALIBRATION: StereoCalibration = StereoCalibration {
         camera: crate::PinholeCamera { width: 320, height: 240, focal: 250.0, center: [160.0, 120.0] },
@@ -175,9 +176,9 @@ mod tests {
         };
         StereoFrame {
             stamp_ns: 0,
-            left: eye(0, 0),
-            right: eye(25, low),
-            depth: Some(DepthImage { width: 320, height: 240, data: vec![1.0; 320 * 240] }),
+            left: eye(0, 0).into(),
+            right: eye(25, low).into(),
+            depth: Some(Arc::new(DepthImage { width: 320, height: 240, data: vec![1.0; 320 * 240] })),
             root_from_left: Isometry3::identity(),
         }
     }
@@ -202,7 +203,7 @@ mod tests {
         let eye = |level, (width, height)| RgbImage::painted(width, height, |_, _| [level; 3]);
         for (level, size) in [(0, (320, 240)), (255, (320, 240)), (90, (1, 1))] {
             let (left, right) = (eye(level, size), eye(level, size));
-            let frame = StereoFrame { left, right, depth: None, ..wall(0) };
+            let frame = StereoFrame { left: left.into(), right: right.into(), depth: None, ..wall(0) };
             assert_eq!(EpipolarCheck::of(&frame, &CALIBRATION), EpipolarCheck::default());
         }
         assert_eq!(EpipolarCheck::median(&[]), None);

@@ -160,9 +160,6 @@ fn open(path: &Path) -> Result<BufReader<File>, FileError> {
 }
 
 /// Width and height, px, of an image that is not too large; does not decode the pixels.
-///
-/// # Errors
-/// [`FileError`] when there is no such image or it is too large.
 pub(crate) fn size_of<R: BufRead + Seek>(from: R) -> Result<(u32, u32), FileError> {
     let size = decoder(from, MAX_METADATA_BYTES)?.into_dimensions().map_err(FileError::Decode)?;
     let (width, height) = size;

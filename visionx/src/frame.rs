@@ -1,6 +1,10 @@
 //! Stereo frames, which trackers work on: two decoded images with depth and the camera's pose at their time. Providers
 //! give [`RawFrame`](crate::providers::RawFrame)s, whose pixels are in the camera's own format.
 
+use std::fmt;
+use std::ops::Deref;
+use std::sync::{Arc, LazyLock};
+
 use nalgebra::Isometry3;
 
 use crate::mask::Region;
@@ -11,6 +15,67 @@ pub struct RgbImage {
     width: u32,
     height: u32,
     data: Vec<u8>,
+}
+
+type Draw = Box<dyn FnOnce() -> RgbImage + Send>;
+
+/// An [`RgbImage`] that is drawn or decoded when somebody first looks at it, and then kept for all: a camera's second image costs
+/// nothing where nobody needs it. Copies share it.
+#[derive(Clone)]
+pub struct SharedImage {
+    width: u32,
+    height: u32,
+    image: Arc<LazyLock<RgbImage, Draw>>,
+}
+
+impl SharedImage {
+    /// An image of this size, px, which `draw` gives, at most once. If it gives another size, the image is black.
+    pub fn later(width: u32, height: u32, draw: impl FnOnce() -> RgbImage + Send + 'static) -> Self {
+        let draw = move || {
+            let drawn = draw();
+            let fits = (drawn.width, drawn.height) == (width, height);
+            if fits { drawn } else { RgbImage::painted(width, height, |_, _| [0; 3]) }
+        };
+        Self { width, height, image: Arc::new(LazyLock::new(Box::new(draw))) }
+    }
+
+    /// Width, px; known before the image is drawn.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height, px; known before the image is drawn.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+}
+
+impl From<RgbImage> for SharedImage {
+    fn from(image: RgbImage) -> Self {
+        Self::later(image.width, image.height, || image)
+    }
+}
+
+impl Deref for SharedImage {
+    type Target = RgbImage;
+
+    fn deref(&self) -> &RgbImage {
+        &self.image
+    }
+}
+
+impl fmt::Debug for SharedImage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SharedImage({} x {})", self.width, self.height)
+    }
+}
+
+impl PartialEq for SharedImage {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.image, &other.image) || **self == **other
+    }
 }
 
 /// A depth image: distance along the optical axis, m; 0 where there is no measurement.
@@ -67,11 +132,11 @@ pub struct StereoFrame {
     /// The time of the exposure since the provider's start, ns; the same clock as the robot's samples.
     pub stamp_ns: u64,
     /// Left eye.
-    pub left: RgbImage,
+    pub left: SharedImage,
     /// Right eye.
-    pub right: RgbImage,
+    pub right: SharedImage,
     /// Depth registered to the left eye, where the provider has it.
-    pub depth: Option<DepthImage>,
+    pub depth: Option<Arc<DepthImage>>,
     /// The left camera's pose in the robot's root frame, computed from joint angles and calibration. An error
     /// of the mounting is not included.
     pub root_from_left: Isometry3<f64>,
@@ -163,5 +228,28 @@ impl RgbImage {
         }
         let i = (y as usize * self.width as usize + x as usize) * 3;
         [self.data[i], self.data[i + 1], self.data[i + 2]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shared_image_is_drawn_once_and_only_when_somebody_looks() {
+        let drawn = Arc::new(std::sync::atomic::AtomicU32::new(0));
+        let count = Arc::clone(&drawn);
+        let image = SharedImage::later(2, 1, move || {
+            count.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            RgbImage::painted(2, 1, |x, _| [x as u8; 3])
+        });
+        let copy = image.clone();
+        assert_eq!((copy.width(), copy.height(), format!("{copy:?}").as_str()), (2, 1, "SharedImage(2 x 1)"));
+        assert_eq!(drawn.load(std::sync::atomic::Ordering::Relaxed), 0);
+        assert_eq!((image.pixel(1, 0), copy.pixel(0, 0)), ([1; 3], [0; 3]));
+        assert_eq!(image, SharedImage::from(RgbImage::clone(&copy)));
+        assert_eq!(drawn.load(std::sync::atomic::Ordering::Relaxed), 1);
+        let other = SharedImage::later(2, 1, || RgbImage::painted(5, 5, |_, _| [9; 3]));
+        assert_eq!((other.pixel(0, 0), other.data().len()), ([0; 3], 6));
     }
 }

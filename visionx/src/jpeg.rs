@@ -57,9 +57,6 @@ const END_OF_IMAGE: u8 = 0xD9;
 
 /// Whether the bytes reach the marker that ends the image (ITU-T T.81, B.1.1.3), after all of its scans. The end of a
 /// thumbnail inside a segment does not count.
-///
-/// # Errors
-/// When the bytes cannot be read.
 pub(crate) fn is_whole(from: &mut impl BufRead) -> Result<bool> {
     match go_to_end(from) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),

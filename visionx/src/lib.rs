@@ -57,7 +57,7 @@ pub use components::{Component, components};
 pub use counter::{Counter, Latency};
 pub use environment::{EnvironmentModel, SurfaceEstimate};
 pub use epipolar::EpipolarCheck;
-pub use frame::{DepthImage, ImageError, RgbImage, StereoFrame};
+pub use frame::{DepthImage, ImageError, RgbImage, SharedImage, StereoFrame};
 pub use image_source::ImageSource;
 pub use joined::JoinedImages;
 pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};

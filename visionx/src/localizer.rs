@@ -22,10 +22,8 @@ use crate::outline::{ConvexOutline, RowSums, border_points, box_outline};
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectEstimate {
     /// Pose of the box's centre in the root frame of the frame's `root_from_left` (as estimated), z along the surface's
-    /// normal. The yaw lies within (-pi/2, pi/2]: a box looks the same after half a turn.
+    /// normal. Its turn about that lies within (-pi/2, pi/2] rad: a box looks the same after half a turn.
     pub root_from_object: Isometry3<f64>,
-    /// The box's turn about that normal, rad; on a level surface, its yaw in the root frame.
-    pub yaw: f64,
     /// Covariance of x, y, z (m) in the root frame and yaw (rad).
     pub covariance: Matrix4<f64>,
     /// Visible fraction of the silhouette, 0 to 1, mean of both images.
@@ -303,7 +301,6 @@ impl Fit {
         let turn = surface.to_rotation_matrix().to_homogeneous();
         ObjectEstimate {
             root_from_object: surface * upright,
-            yaw,
             covariance: turn * self.covariance * turn.transpose(),
             visible: self.visible,
             outline_left: self.outlines[0].corners().to_vec(),
@@ -388,7 +385,8 @@ mod tests {
 
     fn errors(estimate: &ObjectEstimate, x: f64, y: f64, yaw: f64) -> (f64, f64) {
         let at = estimate.root_from_object.translation.vector - Vector3::new(x, y, 0.92);
-        (at.norm(), half_turn(estimate.yaw - yaw).abs())
+        let turn = estimate.root_from_object.rotation.euler_angles().2;
+        (at.norm(), half_turn(turn - yaw).abs())
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Binary images, and rectangles in an image. The meaning of a mask is up to its maker.
 
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 /// A horizontal run of set pixels, in the coordinates of the image: columns `x0 .. x1` of row `y`.
@@ -48,6 +49,18 @@ impl Region {
         let (left, top) = (clip(x0.floor(), width), clip(y0.floor(), height));
         let (right, bottom) = (clip(x1.floor() + 1.0, width), clip(y1.floor() + 1.0, height));
         Self { x: left, y: top, width: right.saturating_sub(left), height: bottom.saturating_sub(top) }
+    }
+
+    /// The smallest region in an image of `width` x `height` that holds these points and `margin` px on each side of them.
+    pub fn around(
+        points: impl IntoIterator<Item = Point2<f64>>,
+        margin: f64,
+        width: u32,
+        height: u32,
+    ) -> Self {
+        let none = (Point2::from([f64::MAX; 2]), Point2::from([f64::MIN; 2]));
+        let (low, high) = points.into_iter().fold(none, |(low, high), p| (low.inf(&p), high.sup(&p)));
+        Self::spanning(low.x - margin, low.y - margin, high.x + margin, high.y + margin, width, height)
     }
 
     /// This region with `border` more pixels on each side, clipped to an image of `width` x `height`.

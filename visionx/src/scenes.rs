@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::frame::{DepthImage, ImageError, RgbImage, StereoFrame};
+use crate::frame::{DepthImage, ImageError, RgbImage, SharedImage, StereoFrame};
 use crate::image_source::ImageSource;
 use crate::tracking::hand::Gesture;
 
@@ -95,7 +95,8 @@ pub(crate) fn frame_with_depth(things: &[Thing], stamp_ns: u64, seed: u64) -> St
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let [(left, depth), (right, _)] =
         [0.0, CALIBRATION.baseline].map(|shift| cast(things, &root_from_left, shift, &mut rng));
-    StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left }
+    let (left, right, depth) = (left.into(), right.into(), Some(Arc::new(depth)));
+    StereoFrame { stamp_ns, left, right, depth, root_from_left }
 }
 
 /// Frames with nothing to detect: black, white, noise, and images of the wrong size.
@@ -107,7 +108,7 @@ pub(crate) fn empty_frames() -> Vec<StereoFrame> {
     let eyes = [flat(0), flat(255), noise].into_iter().chain(small);
     let root_from_left = root_from_left();
     let frame = |(eye, i): (RgbImage, u64)| {
-        let (left, right) = (eye.clone(), eye);
+        let (left, right) = (SharedImage::from(eye.clone()), eye.into());
         StereoFrame { stamp_ns: i * 66_000_000, left, right, depth: None, root_from_left }
     };
     eyes.zip(0..).map(frame).collect()

@@ -185,7 +185,7 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
     }
 
     fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
-        let mut image = self.pair.frame(frames.first()?).ok()?.left;
+        let mut image = RgbImage::clone(&self.pair.frame(frames.first()?).ok()?.left);
         self.step.draw(&mut image);
         Some(image)
     }
@@ -199,8 +199,16 @@ fn vector(v: Vector3<f64>) -> Value {
     Value::Vector(Vector::new(Frame::from(CAMERA), &v))
 }
 
-fn root_pose(pose: &Isometry3<f64>) -> Value {
-    Value::Pose(Pose::new(Frame::root(), pose))
+/// What has a pose in the root frame, where its place has this covariance, m².
+fn posed(
+    (segment, class): (&str, &str),
+    stamp_ns: u64,
+    pose: &Isometry3<f64>,
+    covariance: &Matrix3<f64>,
+) -> Observation {
+    Observation::new(segment, class, stamp_ns)
+        .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, covariance))
+        .with("pose", Value::Pose(Pose::new(Frame::root(), pose)))
 }
 
 /// A person's hand as `HumanHands/.../hand`, with its `gesture` in this frame, `none` without a hand, and what it has `shown` clearly
@@ -296,7 +304,7 @@ impl StereoStep for MarkerStep {
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         let expected = self.expected.as_ref().and_then(|place| place(frame.stamp_ns));
         let in_left = expected.map(|place| frame.root_from_left.inverse() * place);
-        self.last = self.tracking.update_near(frame, in_left.as_ref());
+        self.last = self.tracking.update(frame, in_left.as_ref());
         let seen = |marker: &MarkerEstimate| {
             Observation::new(OBJECTS, &self.class, frame.stamp_ns)
                 .at(in_camera(&marker.point_in_left, &marker.covariance))
@@ -385,12 +393,9 @@ impl StereoStep for ObjectStep {
         }
         self.last = self.localizer.localize(frame);
         let seen = |object: &ObjectEstimate| {
-            let pose = &object.root_from_object;
             let covariance = object.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-            Observation::new(OBJECTS, &self.class, frame.stamp_ns)
-                .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &covariance))
+            posed((OBJECTS, &self.class), frame.stamp_ns, &object.root_from_object, &covariance)
                 .with_confidence(object.visible)
-                .with("pose", root_pose(pose))
         };
         table.into_iter().chain(self.last.as_ref().map(seen)).collect()
     }
@@ -493,30 +498,23 @@ fn surface_seen(surface: &SurfaceEstimate, stamp_ns: u64) -> Observation {
     let spread = Vector3::new(TABLE, TABLE, surface.covariance[(0, 0)].max(1e-9));
     let covariance = axes * Matrix3::from_diagonal(&spread) * axes.transpose();
     let covariance = (covariance + covariance.transpose()) * 0.5;
-    Observation::new(ENVIRONMENT, surface.class, stamp_ns)
+    posed((ENVIRONMENT, surface.class), stamp_ns, pose, &covariance)
         .named(&surface.name)
-        .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &covariance))
         .with_confidence(surface.probability)
-        .with("pose", root_pose(pose))
         .with("size", [surface.size[0], surface.size[1], 0.0])
         .with("plane_covariance", surface.covariance.transpose().as_slice().to_vec())
 }
 
 fn table_seen(table: &TableEstimate, stamp_ns: u64) -> Observation {
-    let pose = &table.root_from_table;
-    Observation::new(ENVIRONMENT, "table", stamp_ns)
-        .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &(Matrix3::identity() * TABLE)))
-        .with("pose", root_pose(pose))
+    let covariance = Matrix3::identity() * TABLE;
+    posed((ENVIRONMENT, "table"), stamp_ns, &table.root_from_table, &covariance)
         .with("size", [table.size[0], table.size[1], 0.0])
 }
 
 fn thing(object: &TableObject, stamp_ns: u64) -> Observation {
-    let pose = &object.root_from_object;
     let color: Vec<f64> = object.color.iter().map(|c| f64::from(*c)).collect();
-    Observation::new(OBJECTS, THING_CLASS, stamp_ns)
-        .at(ObservedPlace::new(&Frame::root(), &pose.translation.vector, &object.covariance))
+    posed((OBJECTS, THING_CLASS), stamp_ns, &object.root_from_object, &object.covariance)
         .with_confidence(THING)
-        .with("pose", root_pose(pose))
         .with("size", object.size.as_slice().to_vec())
         .with("color", color)
 }

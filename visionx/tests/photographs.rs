@@ -19,7 +19,8 @@ fn photographs() -> Vec<(RgbImage, String, Gesture, Point2<f64>)> {
         let words: Vec<&str> = line.split_whitespace().collect();
         let number = |text: &str| text.parse().expect("a coordinate");
         let tip = Point2::new(number(words[2]), number(words[3]));
-        (real(words[0]), words[0].to_owned(), Gesture::from_name(words[1]).expect("a gesture"), tip)
+        let gesture = Gesture::ALL.into_iter().find(|gesture| gesture.name() == words[1]);
+        (real(words[0]), words[0].to_owned(), gesture.expect("a gesture"), tip)
     };
     include_str!("photographs/truth.txt").lines().map(one).collect()
 }

@@ -148,8 +148,8 @@ enum Inferences {
 impl Inferences {
     fn inference(self) -> std::sync::Arc<dyn armarium_memoryx::Inference> {
         match self {
-            Self::SpatialRelations => std::sync::Arc::new(armarium_memoryx::SpatialRelations::default()),
-            Self::UsualPlaces => std::sync::Arc::new(armarium_memoryx::UsualPlaces::default()),
+            Self::SpatialRelations => std::sync::Arc::new(armarium_memoryx::SpatialRelations),
+            Self::UsualPlaces => std::sync::Arc::new(armarium_memoryx::UsualPlaces),
         }
     }
 }

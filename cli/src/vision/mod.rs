@@ -3,6 +3,7 @@
 
 mod album;
 mod figures;
+mod label;
 mod look;
 mod report;
 mod sequence;
@@ -10,6 +11,7 @@ mod track;
 mod train;
 
 use std::io::{self, Write};
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
@@ -36,6 +38,10 @@ enum VisionCommand {
     Track(TrackArgs),
     /// Learn how fingertips move from sequences, and save the model.
     Train(TrainArgs),
+    /// Click the hands in the images of a folder or a recording, on a page of this machine: wrist, knuckle, fingertips, gesture.
+    Label(LabelArgs),
+    /// How well each detector does on labelled images.
+    Score(ScoreArgs),
     /// Track simulated hands with parts of the tracking left out, and print the quality.
     Figures(FiguresArgs),
 }
@@ -155,6 +161,43 @@ pub(crate) struct TrainArgs {
     pub(crate) simulated: Option<u64>,
 }
 
+/// The images to label.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct LabelArgs {
+    /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images, of which 500 are shown at most.
+    #[arg(value_name = "FOLDER|RECORDING")]
+    pub(crate) folder: PathBuf,
+    /// The recording's topic; the first one with images if not given.
+    #[arg(long, value_name = "TOPIC")]
+    pub(crate) topic: Option<String>,
+    /// The file of labels, a line of JSON for each image; what it holds already is shown.
+    #[arg(long, value_name = "FILE", default_value = "labels.jsonl")]
+    pub(crate) labels: PathBuf,
+    /// Only each N-th image.
+    #[arg(long, value_name = "N", default_value = "1")]
+    pub(crate) every: NonZeroUsize,
+    /// The page's port; any that is free if not given.
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    pub(crate) port: u16,
+}
+
+/// Labelled images.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ScoreArgs {
+    /// The folder or the recording whose images are labelled.
+    #[arg(value_name = "FOLDER|RECORDING")]
+    pub(crate) folder: PathBuf,
+    /// The recording's topic; the first one with images if not given.
+    #[arg(long, value_name = "TOPIC")]
+    pub(crate) topic: Option<String>,
+    /// The file of labels.
+    #[arg(long, value_name = "FILE", default_value = "labels.jsonl")]
+    pub(crate) labels: PathBuf,
+    /// As JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
 /// The amount of simulation.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct FiguresArgs {
@@ -167,6 +210,16 @@ pub(crate) struct FiguresArgs {
     /// Only the complete tracking, without the table of its parts.
     #[arg(long)]
     pub(crate) whole: bool,
+}
+
+impl Detector {
+    /// Its name on the command line.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Learned => "learned",
+            Self::Skin => "skin",
+        }
+    }
 }
 
 impl DetectorArgs {
@@ -217,6 +270,8 @@ pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -
         VisionCommand::Marker(args) => look::run(&args.look, look::Seek::Marker(args.color), out, err),
         VisionCommand::Track(args) => track::run(args, out, err),
         VisionCommand::Train(args) => train::run(args, out, err),
+        VisionCommand::Label(args) => label::label(args, out, err),
+        VisionCommand::Score(args) => label::score(args, out, err),
         VisionCommand::Figures(args) => figures::run(*args, out),
     }
 }

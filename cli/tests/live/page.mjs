@@ -1,9 +1,10 @@
-// Drives the live page in a real browser. Arguments: the folder with npm packages, the browser, a scenario, the address, a folder for pictures.
+// Drives the live page in a real browser. Arguments: the folder with npm packages, the browser, a scenario, the address, a folder for pictures,
+// and where the run can be stopped, if that is elsewhere.
 // Prints what it found as JSON; any surprise ends it with a reason.
 
 import { createRequire } from 'node:module';
 
-const [modules, browserPath, scenario, url, pictures] = process.argv.slice(2);
+const [modules, browserPath, scenario, url, pictures, actor = url] = process.argv.slice(2);
 const require = createRequire(`${modules}/`);
 const { chromium } = require('playwright-core');
 
@@ -23,6 +24,14 @@ const active = (page) => page.$$eval('[data-state].active', (all) => all.map((ea
 const picture = (page, name) => page.screenshot({ path: `${pictures}/${name}.png` });
 const expect = (holds, what) => { if (!holds) throw new Error(what); };
 const badge = (page) => page.textContent('#badge');
+// Stops the run: however slow a machine is, the run lasts until all has been seen that is to be seen while it goes on.
+async function stop() {
+  const context = await browser.newContext({ ignoreHTTPSErrors: true }), page = await context.newPage();
+  await page.goto(actor);
+  await page.waitForSelector('#acting button');
+  await Promise.all([page.waitForResponse((answer) => answer.url().endsWith('/act')), page.click('#acting button:has-text("stop the robot")')]);
+  await context.close();
+}
 const ended = (page) => page.waitForFunction(() => !['running', 'paused', 'not connected', '…'].includes(document.getElementById('badge').textContent), null, { timeout: 240000 });
 // What a tab needs, MB, and up to where it knows the run, s.
 async function heap(page) {
@@ -40,6 +49,7 @@ const scenarios = {
     await picture(page, 'overview');
     await page.reload();
     await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    await stop();
     await ended(page);
     const outcome = await badge(page);
     await picture(page, 'ended');
@@ -80,8 +90,30 @@ const scenarios = {
     const page = await open(undefined, { ignoreHTTPSErrors: true });
     expect(!page.url().includes('token'), 'the token does not stay in the address');
     await page.waitForFunction(() => document.querySelectorAll('[data-state].active').length > 1);
+    await stop();
     await ended(page);
     return { outcome: await badge(page) };
+  },
+  // Two hands are clicked, and one image has none.
+  async label() {
+    const page = await open(undefined, {}, '#ask');
+    const loaded = () => page.waitForFunction(() => document.getElementById('image').complete && document.getElementById('image').naturalWidth > 0);
+    const click = async (x, y) => {
+      await loaded();
+      const [box, size] = [await page.locator('#image').boundingBox(), await page.$eval('#image', (image) => [image.naturalWidth, image.naturalHeight])];
+      await page.mouse.click(box.x + x / size[0] * box.width, box.y + y / size[1] * box.height);
+    };
+    const kept = (count) => page.waitForFunction((wanted) => document.getElementById('count').textContent.includes(`${wanted} labelled`), count);
+    for (const place of [[260, 560], [260, 330], [214, 96]]) await click(...place);
+    await page.click('#gestures button:has-text("point one")');
+    await kept(1);
+    await picture(page, 'label');
+    await page.keyboard.press('ArrowRight');
+    await page.keyboard.press('n');
+    await kept(2);
+    await page.reload();
+    await page.waitForFunction(() => document.getElementById('count').textContent.startsWith('image 3'));
+    return { count: await page.textContent('#count'), problem: await page.textContent('#problem') };
   },
   // Two runs beside each other show the same time.
   async compare() {

@@ -4,10 +4,11 @@
 //! is the robot's: 640 x 480, with noise and a depth image. The truth is used for measuring only.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use armarium_simulator::render::hand::{HandPose, fingertips, hand_shapes, tip_radius};
-use armarium_simulator::render::{SensorNoise, Shape, Viewpoint, VisibleForm, VisibleScene, render_pair};
-use armarium_visionx::{Gesture, PinholeCamera, RgbImage, StereoCalibration, StereoFrame};
+use armarium_simulator::render::{SensorNoise, Shape, Viewpoint, VisibleForm, VisibleScene, render};
+use armarium_visionx::{Gesture, PinholeCamera, RgbImage, SharedImage, StereoCalibration, StereoFrame};
 use nalgebra::{Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -134,7 +135,8 @@ impl Stage {
         let scene_from_hand = self.viewpoints[0].scene_from_camera * left_from_hand;
         let mut shapes = self.background.clone();
         shapes.extend(hand_shapes(&pose, &scene_from_hand));
-        let [mut left, mut right] = render_pair(&VisibleScene::new(shapes), &self.viewpoints);
+        let scene = VisibleScene::new(shapes);
+        let [mut left, mut right] = self.viewpoints.map(|eye| render(&scene, &eye));
         self.noise.apply(&mut left.image, number, 0);
         self.noise.apply(&mut right.image, number, 1);
         let seen = |p: &Point3<f64>, shift: f64, border: f64| {
@@ -157,9 +159,9 @@ impl Stage {
         });
         let frame = StereoFrame {
             stamp_ns: (number as f64 / RATE_HZ * 1e9) as u64,
-            left: left.image,
-            right: right.image,
-            depth: Some(left.depth),
+            left: left.image.into(),
+            right: right.image.into(),
+            depth: Some(Arc::new(left.depth)),
             root_from_left: Isometry3::identity(),
         };
         (frame, Truth { gesture, since: number % STAYS, tips, whole })
@@ -168,10 +170,8 @@ impl Stage {
 
 /// A frame without visible content.
 pub(super) fn blackout(frame: &StereoFrame) -> StereoFrame {
-    let black = |i: &RgbImage| {
-        RgbImage::from_rgb(i.width(), i.height(), vec![0; i.data().len()]).unwrap_or_else(|_| i.clone())
-    };
-    StereoFrame { left: black(&frame.left), right: black(&frame.right), depth: None, ..frame.clone() }
+    let black = SharedImage::from(RgbImage::painted(frame.left.width(), frame.left.height(), |_, _| [0; 3]));
+    StereoFrame { left: black.clone(), right: black, depth: None, ..frame.clone() }
 }
 
 /// The hand's axes in the camera frame: its z points up in the image, its x (out of the palm) to the camera or away

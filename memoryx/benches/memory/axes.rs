@@ -99,7 +99,7 @@ async fn prediction() {
             is_here
         });
         let today = today.map_or(PLACES[0].0, |(place, _)| *place);
-        conclude_once(&memory, &UsualPlaces::default(), day * DAY_NS).await.expect("it can be concluded");
+        conclude_once(&memory, &UsualPlaces, day * DAY_NS).await.expect("it can be concluded");
         let known = memory.segment(USUAL_PLACES).await.expect("it can be read");
         let chance = |s: &armarium_memoryx::Snapshot| s.instance().map_or(0.0, |i| i.confidence);
         let is_there =

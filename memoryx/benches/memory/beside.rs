@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use armarium_bus::{Key, Payload, Reply, Session, SessionConfig, decode, encode, keys};
 use armarium_memoryx::wire::{QueryRequest, Snapshots};
-use armarium_memoryx::{Commit, MemoryServer, Pattern, Query, WorkingMemory};
+use armarium_memoryx::{Commit, MemoryServer, Pattern, Query, ServerOptions, WorkingMemory};
 use armarium_values::Value;
 use tokio::task::JoinSet;
 
@@ -25,7 +25,9 @@ pub(super) async fn beside() {
     }
     let far = Session::open(&SessionConfig::default()).await.expect("a session");
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.expect("a session");
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.expect("it is shared");
+    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default())
+        .await
+        .expect("it is shared");
 
     let idle = commits(&memory).await;
     let mut clients = JoinSet::new();

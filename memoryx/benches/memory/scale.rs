@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::{Mode, Session, SessionConfig};
-use armarium_memoryx::{MemoryLimits, MemoryServer, RemoteMemory, WorkingMemory};
+use armarium_memoryx::{MemoryLimits, MemoryServer, RemoteMemory, ServerOptions, WorkingMemory};
 
 use super::shared::{follow, hear};
 use super::{Meter, commit, resident_mb, say};
@@ -92,7 +92,9 @@ pub(super) async fn agent(session: Session, name: String) -> Agent {
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
     let memory = Arc::new(memory.with_limits(MemoryLimits { history: 2, ..MemoryLimits::default() }));
     memory.commit_now((0..ENTITIES).map(|n| commit(n, 100)).collect()).expect("it fits");
-    let server = MemoryServer::start(&session, &name, Arc::clone(&memory)).await.expect("it is shared");
+    let server = MemoryServer::start(&session, &name, Arc::clone(&memory), ServerOptions::default())
+        .await
+        .expect("it is shared");
     Agent { name, session, memory, _server: server }
 }
 

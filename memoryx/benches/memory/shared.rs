@@ -6,7 +6,8 @@ use std::time::Duration;
 use armarium_bus::{Key, Payload, Session, SessionConfig, Subscription, decode, encode, keys};
 use armarium_memoryx::wire::{ChangesMessage, CommitRequest};
 use armarium_memoryx::{
-    Change, EntityId, Follower, Memory, MemoryLimits, MemoryServer, Pattern, RemoteMemory, WorkingMemory,
+    Change, EntityId, Follower, Memory, MemoryLimits, MemoryServer, Pattern, RemoteMemory, ServerOptions,
+    WorkingMemory,
 };
 use tokio::task::JoinSet;
 
@@ -24,7 +25,9 @@ pub(super) async fn shared() {
     let clock = far.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
     let memory = Arc::new(memory.with_limits(MemoryLimits { history: 64, ..MemoryLimits::default() }));
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.expect("it is shared");
+    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default())
+        .await
+        .expect("it is shared");
     let remote = RemoteMemory::connect(&near, "alice").await.expect("it answers");
     let mut bare = Bare::start(&near, &far).await;
     latencies(&memory, &remote, &mut bare).await;

@@ -177,8 +177,7 @@ pub async fn conclude_once(
             continue;
         }
         round.written += 1;
-        let referenced_ns = conclusion.referenced_ns;
-        updates.push(Commit { id, referenced_ns, instances: vec![instance], expected_version: None });
+        updates.push(Commit::of(id, conclusion.referenced_ns, vec![instance]));
     }
     round.removed = held.len() as u64;
     updates.extend(held.into_keys().map(|id| Commit::removal(id, now_ns)));

@@ -48,15 +48,7 @@ const MAX_DISTANCE: f64 = 1e6;
 
 /// Concludes [`USUAL_PLACES`] from the history of `ObjectInstances`.
 #[derive(Clone, Debug)]
-pub struct UsualPlaces {
-    name: String,
-}
-
-impl Default for UsualPlaces {
-    fn default() -> Self {
-        Self { name: "usual_places".into() }
-    }
-}
+pub struct UsualPlaces;
 
 /// The sightings in a cell.
 #[derive(Clone, Debug, Default)]
@@ -196,45 +188,43 @@ fn because(members: &[&DayShare<'_>]) -> Vec<(EntityId, u64)> {
     newest.into_iter().map(|(id, version)| (id.clone(), version)).collect()
 }
 
-impl UsualPlaces {
-    /// The conclusions about one class in one frame.
-    fn places(&self, class: &str, frame: &str, seen: &ClassSightings) -> Vec<Conclusion> {
-        let shares = seen.shares();
-        let days = shares.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
-        let mut places = clustered(&shares);
-        places.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
-        let rest = (places.len() as f64 + 1.0) / 2.0;
-        let conclusion = |(i, members): (usize, &Vec<&DayShare<'_>>)| {
-            let mean = mean(members)?;
-            let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
-            let own_days = members.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
-            let last_ns = members.iter().map(|share| share.cell.last_ns).max().unwrap_or(0);
-            let attributes = [
-                ("class", class.into()),
-                ("position", Value::Vector(Vector::new(Frame(frame.to_owned()), &mean))),
-                ("days", number(own_days as u64)),
-                ("of_days", number(days as u64)),
-                ("sightings", number(members.iter().map(|share| share.cell.sightings).sum())),
-                ("last_seen_ns", number(last_ns)),
-            ];
-            Some(Conclusion {
-                segment: USUAL_PLACES.into(),
-                entity: joined(&[class, frame, &(i + 1).to_string()]),
-                attributes: attributes.map(|(name, value)| (name.to_owned(), value)).into(),
-                covariance: BTreeMap::from([("position".to_owned(), covariance(members, &mean))]),
-                confidence: (weight(members) + 0.5) / (days as f64 + rest),
-                referenced_ns: last_ns,
-                because: because(members),
-            })
-        };
-        places.iter().enumerate().filter_map(conclusion).collect()
-    }
+/// The conclusions about one class in one frame.
+fn places(class: &str, frame: &str, seen: &ClassSightings) -> Vec<Conclusion> {
+    let shares = seen.shares();
+    let days = shares.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
+    let mut places = clustered(&shares);
+    places.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+    let rest = (places.len() as f64 + 1.0) / 2.0;
+    let conclusion = |(i, members): (usize, &Vec<&DayShare<'_>>)| {
+        let mean = mean(members)?;
+        let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
+        let own_days = members.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
+        let last_ns = members.iter().map(|share| share.cell.last_ns).max().unwrap_or(0);
+        let attributes = [
+            ("class", class.into()),
+            ("position", Value::Vector(Vector::new(Frame(frame.to_owned()), &mean))),
+            ("days", number(own_days as u64)),
+            ("of_days", number(days as u64)),
+            ("sightings", number(members.iter().map(|share| share.cell.sightings).sum())),
+            ("last_seen_ns", number(last_ns)),
+        ];
+        Some(Conclusion {
+            segment: USUAL_PLACES.into(),
+            entity: joined(&[class, frame, &(i + 1).to_string()]),
+            attributes: attributes.map(|(name, value)| (name.to_owned(), value)).into(),
+            covariance: BTreeMap::from([("position".to_owned(), covariance(members, &mean))]),
+            confidence: (weight(members) + 0.5) / (days as f64 + rest),
+            referenced_ns: last_ns,
+            because: because(members),
+        })
+    };
+    places.iter().enumerate().filter_map(conclusion).collect()
 }
 
 #[async_trait]
 impl Inference for UsualPlaces {
     fn name(&self) -> &str {
-        &self.name
+        "usual_places"
     }
 
     fn watches(&self) -> Vec<Pattern> {
@@ -264,7 +254,7 @@ impl Inference for UsualPlaces {
         if let Some(last) = &last {
             sightings.count(last, today_ns, today_ns);
         }
-        let found = sightings.0.iter().map(|((class, frame), seen)| self.places(class, frame, seen));
+        let found = sightings.0.iter().map(|((class, frame), seen)| places(class, frame, seen));
         Ok(found.flatten().collect())
     }
 }

@@ -29,117 +29,103 @@ const X: usize = 0;
 const Y: usize = 1;
 const Z: usize = 2;
 
+/// Largest gap between an object and its support, m.
+const TOUCHING: f64 = 0.02;
+/// Largest gap between objects that are near each other, m.
+const NEAR: f64 = 0.15;
+/// Largest gap for "left of", m.
+const BESIDE: f64 = 0.5;
+/// Lowest confidence that is written.
+const LEAST: f64 = 0.5;
+
 /// Concludes `ObjectRelations` from `ObjectInstances` and `EnvironmentModels`.
 #[derive(Clone, Debug)]
-pub struct SpatialRelations {
-    name: String,
-    /// Largest gap between an object and its support, m.
-    pub touching: f64,
-    /// Largest gap between objects that are near each other, m.
-    pub near: f64,
-    /// Largest gap for "left of", m.
-    pub beside: f64,
-    /// Lowest confidence that is written.
-    pub least: f64,
-}
+pub struct SpatialRelations;
 
-impl Default for SpatialRelations {
-    fn default() -> Self {
-        Self { name: "spatial_relations".into(), touching: 0.02, near: 0.15, beside: 0.5, least: 0.5 }
-    }
-}
-
-impl SpatialRelations {
-    /// With another name, so that one memory can have several.
-    pub fn named(name: &str) -> Self {
-        Self { name: name.into(), ..Self::default() }
-    }
-
-    /// All relations among the objects. Only boxes within reach of each other along x are compared.
-    fn relations(&self, mut solids: Vec<Solid>) -> Vec<Conclusion> {
-        solids.sort_by(|a, b| a.min(X).total_cmp(&b.min(X)).then_with(|| a.id.cmp(&b.id)));
-        let unsure = 6.0 * solids.iter().map(|s| s.variance[X]).fold(0.0, f64::max).sqrt();
-        let reach = self.beside.max(self.near) + 2.0 * unsure;
-        let mut found = Vec::new();
-        for (i, a) in solids.iter().enumerate() {
-            for b in solids[i + 1..].iter().take_while(|b| b.min(X) <= a.max(X) + reach) {
-                // The same object from two providers has no relation to itself.
-                if a.frame == b.frame && (a.class != b.class || a.id.entity() != b.id.entity()) {
-                    found.extend(self.of_two(a, b));
-                }
+/// All relations among the objects. Only boxes within reach of each other along x are compared.
+fn relations(mut solids: Vec<Solid>) -> Vec<Conclusion> {
+    solids.sort_by(|a, b| a.min(X).total_cmp(&b.min(X)).then_with(|| a.id.cmp(&b.id)));
+    let unsure = 6.0 * solids.iter().map(|s| s.variance[X]).fold(0.0, f64::max).sqrt();
+    let reach = BESIDE.max(NEAR) + 2.0 * unsure;
+    let mut found = Vec::new();
+    for (i, a) in solids.iter().enumerate() {
+        for b in solids[i + 1..].iter().take_while(|b| b.min(X) <= a.max(X) + reach) {
+            // The same object from two providers has no relation to itself.
+            if a.frame == b.frame && (a.class != b.class || a.id.entity() != b.id.entity()) {
+                found.extend(of_two(a, b));
             }
         }
-        found
     }
+    found
+}
 
-    /// The relations of two objects. "Near" is written once per pair, and not where one is in or on the other.
-    fn of_two(&self, a: &Solid, b: &Solid) -> Vec<Conclusion> {
-        let mut found = Vec::new();
-        for (a, b) in [(a, b), (b, a)] {
-            let inside = probability_in(a, b);
-            found.extend(self.conclusion(a, b, "in", inside));
-            found.extend(self.conclusion(a, b, "on", (1.0 - inside) * self.probability_on(a, b)));
-        }
-        if found.is_empty() {
-            let (first, second) = if a.id < b.id { (a, b) } else { (b, a) };
-            found.extend(self.conclusion(first, second, "near", self.probability_near(a, b)));
-        }
-        found.extend(self.conclusion(a, b, "left_of", self.probability_left(a, b)));
-        found.extend(self.conclusion(b, a, "left_of", self.probability_left(b, a)));
-        found
+/// The relations of two objects. "Near" is written once per pair, and not where one is in or on the other.
+fn of_two(a: &Solid, b: &Solid) -> Vec<Conclusion> {
+    let mut found = Vec::new();
+    for (a, b) in [(a, b), (b, a)] {
+        let inside = probability_in(a, b);
+        found.extend(conclusion(a, b, "in", inside));
+        found.extend(conclusion(a, b, "on", (1.0 - inside) * probability_on(a, b)));
     }
-
-    /// The underside of `a` is at the top of `b`, and the centre of `a` is above `b`.
-    fn probability_on(&self, a: &Solid, b: &Solid) -> f64 {
-        if a.half.is_none() || b.half.is_none() {
-            return 0.0;
-        }
-        let gap = between(a.min(Z) - b.max(Z), a.sigma(b, Z), -self.touching, self.touching);
-        gap * over(a, b, X) * over(a, b, Y)
+    if found.is_empty() {
+        let (first, second) = if a.id < b.id { (a, b) } else { (b, a) };
+        found.extend(conclusion(first, second, "near", probability_near(a, b)));
     }
+    found.extend(conclusion(a, b, "left_of", probability_left(a, b)));
+    found.extend(conclusion(b, a, "left_of", probability_left(b, a)));
+    found
+}
 
-    /// The gap between the two is small along every axis.
-    fn probability_near(&self, a: &Solid, b: &Solid) -> f64 {
-        (0..3)
-            .map(|axis| {
-                let reach = self.near + halves(a, b, axis);
-                between(a.centre[axis] - b.centre[axis], a.sigma(b, axis), -reach, reach)
-            })
-            .product()
+/// The underside of `a` is at the top of `b`, and the centre of `a` is above `b`.
+fn probability_on(a: &Solid, b: &Solid) -> f64 {
+    if a.half.is_none() || b.half.is_none() {
+        return 0.0;
     }
+    let gap = between(a.min(Z) - b.max(Z), a.sigma(b, Z), -TOUCHING, TOUCHING);
+    gap * over(a, b, X) * over(a, b, Y)
+}
 
-    /// All of `a` is left of all of `b`, within reach, and not behind, before or above it.
-    fn probability_left(&self, a: &Solid, b: &Solid) -> f64 {
-        let gap = between(b.min(X) - a.max(X), a.sigma(b, X), 0.0, self.beside);
-        let beside = |axis: usize| {
-            let reach = halves(a, b, axis).max(self.touching);
+/// The gap between the two is small along every axis.
+fn probability_near(a: &Solid, b: &Solid) -> f64 {
+    (0..3)
+        .map(|axis| {
+            let reach = NEAR + halves(a, b, axis);
             between(a.centre[axis] - b.centre[axis], a.sigma(b, axis), -reach, reach)
-        };
-        gap * beside(Y) * beside(Z)
-    }
-
-    /// The relation of `a` to `b`, if its confidence is high enough.
-    fn conclusion(&self, a: &Solid, b: &Solid, relation: &str, probability: f64) -> Option<Conclusion> {
-        let confidence = (probability * a.confidence.min(b.confidence)).clamp(0.0, 1.0);
-        if confidence < self.least {
-            return None;
-        }
-        let name = |s: &Solid| joined(&[s.id.provider(), s.id.entity()]);
-        let attributes = [
-            ("subject".to_owned(), Value::from(a.id.as_str())),
-            ("relation".to_owned(), relation.into()),
-            ("object".to_owned(), b.id.as_str().into()),
-        ];
-        Some(Conclusion {
-            segment: OBJECT_RELATIONS.into(),
-            entity: joined(&[&name(a), relation, &name(b)]),
-            attributes: attributes.into(),
-            covariance: BTreeMap::new(),
-            confidence,
-            referenced_ns: a.referenced_ns.max(b.referenced_ns),
-            because: vec![(a.id.clone(), a.version), (b.id.clone(), b.version)],
         })
+        .product()
+}
+
+/// All of `a` is left of all of `b`, within reach, and not behind, before or above it.
+fn probability_left(a: &Solid, b: &Solid) -> f64 {
+    let gap = between(b.min(X) - a.max(X), a.sigma(b, X), 0.0, BESIDE);
+    let beside = |axis: usize| {
+        let reach = halves(a, b, axis).max(TOUCHING);
+        between(a.centre[axis] - b.centre[axis], a.sigma(b, axis), -reach, reach)
+    };
+    gap * beside(Y) * beside(Z)
+}
+
+/// The relation of `a` to `b`, if its confidence is high enough.
+fn conclusion(a: &Solid, b: &Solid, relation: &str, probability: f64) -> Option<Conclusion> {
+    let confidence = (probability * a.confidence.min(b.confidence)).clamp(0.0, 1.0);
+    if confidence < LEAST {
+        return None;
     }
+    let name = |s: &Solid| joined(&[s.id.provider(), s.id.entity()]);
+    let attributes = [
+        ("subject".to_owned(), Value::from(a.id.as_str())),
+        ("relation".to_owned(), relation.into()),
+        ("object".to_owned(), b.id.as_str().into()),
+    ];
+    Some(Conclusion {
+        segment: OBJECT_RELATIONS.into(),
+        entity: joined(&[&name(a), relation, &name(b)]),
+        attributes: attributes.into(),
+        covariance: BTreeMap::new(),
+        confidence,
+        referenced_ns: a.referenced_ns.max(b.referenced_ns),
+        because: vec![(a.id.clone(), a.version), (b.id.clone(), b.version)],
+    })
 }
 
 /// The centre of `a` is within the extent of `b` along an axis.
@@ -170,7 +156,7 @@ fn size_of(snapshot: &Snapshot, classes: &BTreeMap<String, [f64; 3]>) -> Option<
 #[async_trait]
 impl Inference for SpatialRelations {
     fn name(&self) -> &str {
-        &self.name
+        "spatial_relations"
     }
 
     fn watches(&self) -> Vec<Pattern> {
@@ -195,6 +181,6 @@ impl Inference for SpatialRelations {
             let held = memory.segment(segment).await?;
             solids.extend(held.iter().filter_map(|s| Solid::new(s, size_of(s, &classes))));
         }
-        Ok(self.relations(solids))
+        Ok(relations(solids))
     }
 }

@@ -33,7 +33,7 @@ fn memory() -> Arc<WorkingMemory> {
 }
 
 async fn relations(memory: &WorkingMemory) -> BTreeMap<String, f64> {
-    conclude_once(memory, &SpatialRelations::default(), 1).await.unwrap();
+    conclude_once(memory, &SpatialRelations, 1).await.unwrap();
     let found = memory.segment(OBJECT_RELATIONS).await.unwrap();
     let text = |s: &Snapshot, name: &str| s.attribute(name).unwrap().as_str().unwrap().to_owned();
     let last = |address: String| address.rsplit('/').next().unwrap().to_owned();
@@ -107,7 +107,7 @@ async fn what_has_not_changed_is_not_written_again_and_says_what_it_rests_on() {
         vec![object("a", "cup", [0.0, 0.5, 1.0], time), object("b", "cup", [0.0, 0.6, 1.0], time)]
     };
     memory.commit_now(cups(1)).unwrap();
-    let inference = SpatialRelations::default();
+    let inference = SpatialRelations;
     let first = conclude_once(&*memory, &inference, 1).await.unwrap();
     assert_eq!(first, Round { concluded: 1, written: 1, removed: 0 });
     memory.commit_now(cups(2)).unwrap();
@@ -145,7 +145,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     memory.commit_now(vec![object("cup", "cup", [0.0, 0.0, 0.0], 5 * DAY_NS + hour)]).unwrap();
 
     let now_ns = 5 * DAY_NS + 2 * hour;
-    let round = conclude_once(&memory, &UsualPlaces::default(), now_ns).await.unwrap();
+    let round = conclude_once(&memory, &UsualPlaces, now_ns).await.unwrap();
     assert_eq!(round, Round { concluded: 2, written: 2, removed: 0 });
     let found = memory.segment(USUAL_PLACES).await.unwrap();
     let chances: Vec<f64> = found.iter().map(|s| s.instance().unwrap().confidence).collect();
@@ -161,14 +161,14 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     let mut carried = shelf(6, 0);
     carried.instances[0].attributes = carried.instances[0].attributes.with("motion_model", "hand".into());
     memory.commit_now(vec![carried]).unwrap();
-    let later = conclude_once(&memory, &UsualPlaces::default(), 8 * DAY_NS).await.unwrap();
+    let later = conclude_once(&memory, &UsualPlaces, 8 * DAY_NS).await.unwrap();
     assert_eq!(later, Round { concluded: 3, written: 3, removed: 0 }, "the floor of day 5 counts now");
 }
 
 #[tokio::test(start_paused = true)]
 async fn an_attached_inference_concludes_when_something_changes() {
     let memory = memory();
-    let inference: Arc<dyn Inference> = Arc::new(SpatialRelations::default());
+    let inference: Arc<dyn Inference> = Arc::new(SpatialRelations);
     let attached = RunningInference::start(Arc::<WorkingMemory>::clone(&memory), inference, Arc::new(|| 5));
     let rounds = async |count: u64| {
         while attached.rounds() < count {

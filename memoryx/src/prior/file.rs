@@ -134,14 +134,6 @@ impl PriorKnowledge {
         }
         if findings.is_empty() { Ok(known) } else { Err(findings) }
     }
-
-    /// Reads one class from YAML; `file` is its name in messages.
-    ///
-    /// # Errors
-    /// Everything that is wrong with it.
-    pub fn parse_class(file: &Path, text: &str) -> Result<ObjectClass, Vec<Finding>> {
-        armarium_source::read::<ClassFile>(Arc::new(Source::new(file, text))).map(|class| class.class())
-    }
 }
 
 /// Everything that is wrong with the file of an object class or a scene, held against the files beside it.
@@ -209,14 +201,19 @@ grasps:
   - {name: top, position: [0, 0, 0.02], rpy_deg: [180, 0, 0], approach: 0.10, aperture: 0.09}
 ";
 
+    fn parsed(text: &str) -> Result<ObjectClass, Vec<Finding>> {
+        let source = Arc::new(Source::new("sponge.yaml", text));
+        armarium_source::read::<ClassFile>(source).map(|class| class.class())
+    }
+
     #[test]
     fn a_file_becomes_a_class() {
-        let class = PriorKnowledge::parse_class(Path::new("sponge.yaml"), SPONGE).unwrap();
+        let class = parsed(SPONGE).unwrap();
         assert_eq!((class.name.as_str(), class.color, class.mass), ("sponge", [240, 210, 40], Some(0.15)));
         let grasp = &class.grasps[0];
         assert_eq!((grasp.approach, grasp.aperture), (Some(0.10), Some(0.09)));
         let in_mm = SPONGE.replace("approach: 0.10", "approach: 100 mm").replace("0.15", "150 g");
-        let in_mm = PriorKnowledge::parse_class(Path::new("sponge.yaml"), &in_mm).unwrap();
+        let in_mm = parsed(&in_mm).unwrap();
         assert_eq!((in_mm.mass, in_mm.grasps[0].approach), (Some(0.15), Some(0.1)));
         let turned = grasp.pose.isometry() * nalgebra::Point3::new(0.0, 0.0, 1.0);
         assert!((turned.coords - nalgebra::Vector3::new(0.0, 0.0, -0.98)).norm() < 1e-12);
@@ -234,7 +231,7 @@ grasps:
         ];
         for (from, to, code, place) in cases {
             let text = SPONGE.replace(from, to);
-            let findings = PriorKnowledge::parse_class(Path::new("sponge.yaml"), &text).unwrap_err();
+            let findings = parsed(&text).unwrap_err();
             let found: Vec<_> = findings.iter().map(|f| (f.code, f.position())).collect();
             assert_eq!(found, [(code, place)], "{to}: {findings:?}");
         }

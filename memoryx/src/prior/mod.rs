@@ -10,8 +10,6 @@
 
 use std::collections::BTreeMap;
 
-use armarium_source::yaml::Node;
-use armarium_source::{Field, Findings, Rule};
 use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, UnitQuaternion};
 use serde::Serialize;
@@ -99,14 +97,7 @@ impl Recognition {
     }
 }
 
-impl Field for Recognition {
-    fn read(&mut self, node: &Node, _: &Rule, findings: &mut Findings) {
-        armarium_source::word(self, &Self::NAMES, node, findings);
-    }
-    fn schema(_: &Rule) -> serde_json::Value {
-        serde_json::json!({"enum": Self::NAMES.map(|(name, _)| name)})
-    }
-}
+armarium_source::choice!(Recognition { "color" => Self::Color });
 
 /// What is impossible about an object class.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -133,9 +133,6 @@ pub(super) fn is_scene(text: &str) -> bool {
 }
 
 /// The scene in a file, whose classes are known and whose name is new.
-///
-/// # Errors
-/// Everything that is wrong with it.
 pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene, Vec<Finding>> {
     let (file, root) = read_node::<SceneFile>(Arc::clone(&source))?;
     let mut findings = Findings::new(source);

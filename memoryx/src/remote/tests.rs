@@ -12,7 +12,7 @@ use crate::conformance_tests;
 use crate::entity::EntityId;
 use crate::follow::{Change, Follower};
 use crate::proxy::{ProxyState, counting_proxy, proxy};
-use crate::server::MemoryServer;
+use crate::server::{MemoryServer, ServerOptions};
 use crate::wire::ChangesMessage;
 use crate::working::{MemoryLimits, WorkingMemory};
 
@@ -28,7 +28,8 @@ async fn pair() -> Pair {
     let memory = WorkingMemory::new(Arc::new(|| 0));
     let memory = Arc::new(memory.with_limits(MemoryLimits { history: 64, ..MemoryLimits::default() }));
     let far = Session::open(&SessionConfig::default()).await.unwrap();
-    let server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let server =
+        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
     Pair { memory, remote, near, far, _server: server }
@@ -141,7 +142,8 @@ async fn a_leader_whose_clock_goes_back_is_followed_on() {
     drop((server, memory));
     let anew = Arc::new(WorkingMemory::new(Arc::new(|| 0)));
     anew.commit_now(vec![commit("a", 7), commit("b", 8)]).unwrap();
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&anew)).await.unwrap();
+    let _server =
+        MemoryServer::start(&far, "alice", Arc::clone(&anew), ServerOptions::default()).await.unwrap();
     let mut heard = BTreeMap::new();
     while heard.len() < 2 {
         let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
@@ -206,7 +208,8 @@ async fn what_is_flooded_arrives_whole() {
     let clock = far.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
     let memory = Arc::new(memory.with_limits(MemoryLimits { history: 256, ..MemoryLimits::default() }));
-    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let _server =
+        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
     let mut follower = Follower::from_start(remote, Pattern::any()).await.unwrap();

@@ -64,18 +64,6 @@ impl MemoryServer {
         session: &Session,
         agent: &str,
         memory: Arc<WorkingMemory>,
-    ) -> Result<Self, MemoryError> {
-        Self::start_with(session, agent, memory, ServerOptions::default()).await
-    }
-
-    /// [`Self::start`] with options.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
-    pub async fn start_with(
-        session: &Session,
-        agent: &str,
-        memory: Arc<WorkingMemory>,
         options: ServerOptions,
     ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
@@ -85,19 +73,16 @@ impl MemoryServer {
         let service = keys::alive(agent, "memory")?;
 
         let publisher = ChangePublisher::new(session, agent, Arc::clone(&memory)).await?;
-        let queries = Arc::new(Semaphore::new(MAX_PARALLEL_QUERIES));
-        let room = Arc::new(Semaphore::new(BUDGET_KB as usize));
-        let refusals = Arc::default();
         let shared = ServedMemory {
             session: session.clone(),
             agent: agent.into(),
             memory,
             options,
-            queries,
-            room,
+            queries: Arc::new(Semaphore::new(MAX_PARALLEL_QUERIES)),
+            room: Arc::new(Semaphore::new(BUDGET_KB as usize)),
             waiting: Arc::new(Semaphore::new(BUDGET_KB as usize)),
             turn: Arc::default(),
-            refusals,
+            refusals: Arc::default(),
         };
         let mut tasks = JoinSet::new();
         let questions = session.declare_queryable(requests, QUEUE).await.map_err(failed)?;

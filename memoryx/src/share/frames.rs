@@ -43,7 +43,7 @@ pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Iso
     let moved = |name: &str, value: &Value| change.map_or_else(|| value.clone(), |by| by.value(name, value));
     let mut covariance = BTreeMap::new();
     for (name, rows) in &instance.covariance {
-        let in_root = instance.attributes.get(name).and_then(frame_of) == Some(&root);
+        let in_root = instance.attributes.get(name).and_then(Value::frame) == Some(&root);
         let turned = change.filter(|_| in_root).map(|by| by.covariance(rows));
         covariance.insert(name.clone(), turned.unwrap_or_else(|| rows.clone()));
     }
@@ -53,15 +53,6 @@ pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Iso
         .map(|(name, value)| (name.to_owned(), translation.named(moved(name, value))));
     let attributes = Attributes::from(pairs.collect::<BTreeMap<String, Value>>());
     Instance { attributes, confidence: instance.confidence, covariance }
-}
-
-fn frame_of(value: &Value) -> Option<&Frame> {
-    match value {
-        Value::Vector(v) => Some(&v.frame),
-        Value::Pose(p) => Some(&p.frame),
-        Value::Wrench(w) => Some(&w.frame),
-        _ => None,
-    }
 }
 
 /// What another agent says, in one's own words.

@@ -215,12 +215,8 @@ impl FollowTask {
             let moved = self.moved(instance);
             Instance { attributes: moved.attributes.with("origin", origin.clone()), ..moved }
         });
-        Ok(Commit {
-            id: followed_id(&self.settings.agent, &snapshot.id)?,
-            referenced_ns: snapshot.referenced_ns,
-            instances: instances.collect(),
-            expected_version: None,
-        })
+        let id = followed_id(&self.settings.agent, &snapshot.id)?;
+        Ok(Commit::of(id, snapshot.referenced_ns, instances.collect()))
     }
 
     fn moved(&self, instance: &Instance) -> Instance {

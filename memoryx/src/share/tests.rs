@@ -21,8 +21,7 @@ fn cup(time: u64, x: f64) -> Commit {
         ("velocity", velocity.into()),
     ]);
     let covariance = vec![4e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4];
-    let instances = vec![instance.with_covariance("position", covariance)];
-    Commit { id, referenced_ns: time, instances, expected_version: None }
+    Commit::of(id, time, vec![instance.with_covariance("position", covariance)])
 }
 
 fn stands(agent: &str, x: f64, turned: f64) -> Commit {
@@ -143,7 +142,7 @@ async fn after_a_cut_both_sides_are_equal() {
         .with_backing(Arc::new(kept));
     let alice = Arc::new(alice);
     let options = ServerOptions { store: Some(store), guarded: false };
-    let server = MemoryServer::start_with(&session, "alice", Arc::clone(&alice), options).await.unwrap();
+    let server = MemoryServer::start(&session, "alice", Arc::clone(&alice), options).await.unwrap();
     let (endpoint, state) = proxy(&session.endpoints().await[0]).await;
 
     let near = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();

@@ -214,12 +214,7 @@ fn what_is_coded_is_kept_so_and_nothing_contradicts_it() {
     let memory = WorkingMemory::new(Arc::new(|| 1)).with_backing(backing);
     let come = [image(1, 3), image(2, 4), snapshot("Notes/p/e", 1, 1, 7)];
     for snapshot in &come {
-        let update = Commit {
-            id: snapshot.id.clone(),
-            referenced_ns: 1,
-            instances: snapshot.instances.clone(),
-            expected_version: None,
-        };
+        let update = Commit::of(snapshot.id.clone(), 1, snapshot.instances.clone());
         memory.commit_now(vec![update]).unwrap();
     }
     let bytes = |found: &Snapshot| match found.attribute("pixels") {

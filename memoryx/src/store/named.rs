@@ -150,12 +150,8 @@ impl LongTermMemory {
         for snapshot in &wanted {
             let now = held.binary_search_by(|s| s.id.cmp(&snapshot.id)).ok().and_then(|i| held.get(i));
             if now.is_none_or(|now| now.instances != snapshot.instances) {
-                updates.push(Commit {
-                    id: snapshot.id.clone(),
-                    referenced_ns: snapshot.referenced_ns,
-                    instances: snapshot.instances.clone(),
-                    expected_version: None,
-                });
+                let (id, instances) = (snapshot.id.clone(), snapshot.instances.clone());
+                updates.push(Commit::of(id, snapshot.referenced_ns, instances));
             }
         }
         let gone = held.iter().filter(|s| wanted.binary_search_by(|w| w.id.cmp(&s.id)).is_err());

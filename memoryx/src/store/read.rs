@@ -406,9 +406,6 @@ impl LongTermMemory {
     }
 
     /// The last version that an entity may have been given; 0 when it has none.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub(super) fn last_given(&self, id: &EntityId) -> Result<u64, StoreError> {
         self.read(|reader| {
             let Some(entity) = reader.entity(id)? else { return Ok(0) };
@@ -418,17 +415,11 @@ impl LongTermMemory {
     }
 
     /// The last version that any entity which is not stored may have been given.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub(super) fn given_to_others(&self) -> Result<u64, StoreError> {
         self.read(|reader| reader.given(OF_OTHERS))
     }
 
     /// The entities that may have been given later versions than are stored, with the last of these.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub(super) fn given_ahead(&self) -> Result<BTreeMap<EntityId, u64>, StoreError> {
         self.read(|reader| {
             let mut ahead = BTreeMap::new();
@@ -444,9 +435,6 @@ impl LongTermMemory {
     }
 
     /// Whether one of these snapshots is stored.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub(super) fn holds_any_of(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, StoreError> {
         self.read(|reader| {
             for snapshot in snapshots {

@@ -350,9 +350,6 @@ impl LongTermMemory {
 
     /// As [`Self::persist`]; also notes the last versions that may have been given: of an entity, or with `None` of any
     /// that is not stored. Not where several processes write: there a version counts once it is stored.
-    ///
-    /// # Errors
-    /// As [`Self::persist`].
     pub(super) fn persist_with(
         &self,
         snapshots: &[Arc<Snapshot>],

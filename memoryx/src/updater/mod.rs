@@ -302,8 +302,7 @@ impl Updater {
                 let instances = if confidence < self.settings.gone { Vec::new() } else { vec![left] };
                 // The time of what it says stays that at which it was seen last.
                 let (id, referenced_ns) = (entity.id.clone(), entity.referenced_ns);
-                let update = Commit { id, referenced_ns, instances, expected_version: None };
-                updates.push(update.expecting(entity.version));
+                updates.push(Commit::of(id, referenced_ns, instances).expecting(entity.version));
             }
         }
         Ok(updates)
@@ -317,26 +316,25 @@ impl Updater {
         known: &[&'h Arc<Snapshot>],
         held: &[Arc<Snapshot>],
     ) -> Result<Vec<Match<'h>>, MemoryError> {
+        let matched = |observation, entity: Option<&'h Arc<Snapshot>>, predicted| Match {
+            observation,
+            entity,
+            predicted,
+            moved: false,
+        };
         if let [at] = seen
             && let observation = &observations[*at]
             && last_counts(observation)
             && observation.place.is_none()
             && !known.is_empty()
         {
-            let all = known.iter().map(|entity| Match {
-                observation: *at,
-                entity: Some(entity),
-                predicted: None,
-                moved: false,
-            });
-            return Ok(all.collect());
+            return Ok(known.iter().map(|entity| matched(*at, Some(entity), None)).collect());
         }
         let (named, seen): (Vec<usize>, Vec<usize>) =
             seen.iter().partition(|at| observations[**at].entity.is_some());
         let of_name = |at: usize| {
             let name = observations[at].entity.as_deref();
-            let entity = known.iter().find(|entity| Some(entity.id.entity()) == name).copied();
-            Match { observation: at, entity, predicted: None, moved: false }
+            matched(at, known.iter().find(|entity| Some(entity.id.entity()) == name).copied(), None)
         };
         let named = named.into_iter().map(of_name);
         let mut predicted = Vec::new();
@@ -369,18 +367,12 @@ impl Updater {
             costs.push(row);
         }
         let assigned = assign(&costs);
-        let matched = seen.iter().enumerate().map(|(row, at)| {
-            match assigned.get(row).copied().filter(|column| *column < known.len()) {
-                Some(column) => Match {
-                    observation: *at,
-                    entity: Some(known[column]),
-                    predicted: predicted[row * known.len() + column].clone(),
-                    moved: false,
-                },
-                None => Match { observation: *at, entity: None, predicted: None, moved: false },
-            }
+        let others = seen.iter().enumerate().map(|(row, at)| {
+            let column = assigned.get(row).copied().filter(|column| *column < known.len());
+            let predicted = column.and_then(|column| predicted[row * known.len() + column].clone());
+            matched(*at, column.map(|column| known[column]), predicted)
         });
-        Ok(named.chain(matched).collect())
+        Ok(named.chain(others).collect())
     }
 
     fn fused(
@@ -393,10 +385,7 @@ impl Updater {
         let id = entity.id.clone();
         let gone = observation.entity.is_some() && observation.confidence < self.settings.gone;
         let commit = match (last_counts(observation), measured) {
-            _ if gone => {
-                let referenced_ns = observation.stamp_ns;
-                Commit { id, referenced_ns, instances: Vec::new(), expected_version: None }
-            }
+            _ if gone => Commit::removal(id, observation.stamp_ns),
             (true, measured) => {
                 commit_of(observation, id, observation.attributes.clone(), measured, observation.confidence)
             }
@@ -507,8 +496,7 @@ fn commit_of(
         instance = instance.with_covariance("position", rows);
     }
     instance.attributes = attributes.into();
-    let instances = vec![instance];
-    Commit { id, referenced_ns: observation.stamp_ns, instances, expected_version: None }
+    Commit::of(id, observation.stamp_ns, vec![instance])
 }
 
 /// `class`, or `class_2`, `class_3` ... if that name is taken.

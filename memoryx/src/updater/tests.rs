@@ -107,9 +107,7 @@ async fn what_is_carried_moves_with_its_carrier() {
     let mut attributes = before.instance().unwrap().attributes.to_map();
     attributes.extend(held.attributes());
     let instance = Instance { attributes: attributes.into(), ..before.instance().unwrap().clone() };
-    let commit =
-        Commit { id: id.clone(), referenced_ns: 0, instances: vec![instance], expected_version: None };
-    memory.commit_now(vec![commit]).unwrap();
+    memory.commit_now(vec![Commit::of(id.clone(), 0, vec![instance])]).unwrap();
     let now = memory.latest_now(&id).unwrap();
     let settings = Settings::default();
     let (frame, place) = predict(&now, 2_000_000_000, &[], &Hand, &settings).unwrap();

@@ -44,8 +44,6 @@ pub enum GazeStrategy {
 const NOT_REACHED: f64 = 2.0;
 /// The eyes have come to a view when it is so near, rad.
 const ARRIVED: f64 = 0.1;
-/// Halvings of the turn that is spared where a view may be seen from its side.
-const HALVINGS: usize = 6;
 /// So many things are weighed, those that need it most: the number of views doubles with each.
 const MOST_THINGS: usize = 6;
 
@@ -125,31 +123,13 @@ impl GazeSelection {
         ((1.0 - off[0].max(off[1])) / (1.0 - self.config.core)).clamp(0.0, 1.0)
     }
 
-    /// The directions from which some things may be seen: their middle, and the one nearest to the present `axis` in which each is seen
-    /// as well as from there.
-    fn directions(&self, axis: &Unit<Vector3<f64>>, of: &[&GazeTarget]) -> Option<[Unit<Vector3<f64>>; 2]> {
+    /// The direction from which some things are seen together: their middle. A place nearer to where the eyes are would spare turns, but hands at the
+    /// border of the picture are read less well.
+    fn middle(&self, of: &[&GazeTarget]) -> Option<Unit<Vector3<f64>>> {
         let middle = of.iter().map(|t| t.direction.into_inner() * t.weight.max(1e-3)).sum::<Vector3<f64>>();
         let middle = Unit::try_new(middle, 1e-6)?;
         // A view that cuts off one of its things is none of both.
-        let seen: Vec<f64> = of.iter().map(|t| self.seen(&middle, &t.direction)).collect();
-        if seen.contains(&0.0) {
-            return None;
-        }
-        let between = |share: f64| Unit::try_new(middle.lerp(axis, share), 1e-6);
-        let as_well = |direction: &Unit<Vector3<f64>>| {
-            of.iter().zip(&seen).all(|(t, seen)| self.seen(direction, &t.direction) >= *seen)
-        };
-        let (mut near, mut nearest, mut step) = (0.0, middle, 1.0);
-        for _ in 0..HALVINGS {
-            if let Some(direction) = between(near + step).filter(&as_well) {
-                (near, nearest) = (near + step, direction);
-                if step == 1.0 {
-                    break;
-                }
-            }
-            step /= 2.0;
-        }
-        Some([middle, nearest])
+        of.iter().all(|t| self.in_view(&middle, &t.direction)).then_some(middle)
     }
 
     /// The view for the next `dt` s, when the eyes look along `axis`; `None` where there is nothing to look at. `reached` is where the eyes
@@ -181,11 +161,10 @@ impl GazeSelection {
             .filter_map(|members| {
                 let of: Vec<&GazeTarget> =
                     most.iter().enumerate().filter(|(i, _)| members >> i & 1 == 1).map(|(_, t)| *t).collect();
-                let directions = self.directions(axis, &of)?.map(|direction| (score(&direction), direction));
-                let (score, direction) = directions.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+                let direction = self.middle(&of)?;
                 let mut of: Vec<String> = of.into_iter().map(|t| t.name.clone()).collect();
                 of.sort();
-                Some(GazeView { score, of, direction, changed: true })
+                Some(GazeView { score: score(&direction), of, direction, changed: true })
             })
             .collect();
         views.sort_by(|a, b| {

@@ -117,3 +117,11 @@ fn all_are_seen_in_turn_and_the_eyes_do_not_swing() {
     assert!(shortest > 0.4, "a view lasted {shortest} s only");
     assert!(oldest < 2.0, "something was not seen for {oldest} s");
 }
+
+#[test]
+fn a_single_thing_comes_to_the_middle_of_the_picture() {
+    // It is seen as well where it is, but hands at the border are read less well.
+    let view =
+        selection().choose(0.1, &towards(0.0), &[target("hand", 0.2, 0.5)], |direction| *direction).unwrap();
+    assert!(view.direction.angle(&towards(0.2)) < 1e-9);
+}

@@ -4,13 +4,13 @@
 
 use std::sync::Arc;
 
-use armarium_visionx::{StereoCalibration, StereoFrame};
+use armarium_visionx::StereoCalibration;
 use nalgebra::Isometry3;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::{SimulatedCameras, StereoRig};
-use crate::render::{ExposureMotion, SensorNoise, VisibleScene, render_pair};
+use super::{PairOfRenderings, SimulatedCameras, StereoRig};
+use crate::render::{ExposureMotion, SensorNoise, ShadowedScene};
 use crate::world::{AgentSpec, CameraSpec};
 
 /// The stereo pair of one agent.
@@ -68,13 +68,10 @@ impl AgentEyes {
     }
 
     /// Draws a frame of a scene and publishes it.
-    pub(crate) fn draw(&mut self, scene: &VisibleScene, exposed_ns: u64) {
-        let drawn =
-            render_pair(scene, &self.rig.left_and_right((self.scene_from_left, ExposureMotion::default())));
-        let (left, right, depth) = self.rig.sensed(drawn);
-        let root_from_left = self.agent_from_left;
-        let stamp_ns = self.rig.stamp(exposed_ns);
-        self.rig.send(exposed_ns, StereoFrame { stamp_ns, left, right, depth, root_from_left });
+    pub(crate) fn draw(&mut self, scene: &Arc<ShadowedScene>, exposed_ns: u64) {
+        let eyes = self.rig.left_and_right((self.scene_from_left, ExposureMotion::default()));
+        let frame = self.rig.sensed(PairOfRenderings::of(scene, eyes), exposed_ns, self.agent_from_left);
+        self.rig.send(exposed_ns, frame);
         self.deliver(exposed_ns);
     }
 }

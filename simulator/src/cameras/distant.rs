@@ -5,6 +5,7 @@
 //! images.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
@@ -13,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::{Drawing, Eyes, Moment, RobotState, SceneState};
 use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
+use crate::render::ShadowedScene;
 use crate::start;
 use crate::table::{DirtGrid, TableTop};
 use crate::world::{Gesture, World};
@@ -236,7 +238,7 @@ impl DistantCameras {
             without_hand_s: 0.0,
             wiped: &self.wiped,
         };
-        let seen = self.drawing.scene(&view);
+        let seen = Arc::new(ShadowedScene::new(self.drawing.scene(&view)));
         let (drawn, _) = self.eyes.paint(&self.drawing, &seen, &view);
         Ok(self.eyes.sensed(&view, drawn))
     }

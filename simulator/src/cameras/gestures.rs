@@ -141,7 +141,7 @@ fn watch(world: &World, seed: u64) -> Score {
             without_hand_s,
             wiped: &dirt,
         };
-        let scene = drawing.scene(&view);
+        let scene = Arc::new(ShadowedScene::new(drawing.scene(&view)));
         let truth = eyes.draw(&drawing, &scene, &view);
         let frame = eyes.rig.source.newest.borrow().frame.unwrap();
         let seen = observer.update(&frame).map(|s| s.gesture);

@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use armarium_robot::{Kinematics, LinkId, newest};
 use armarium_visionx::{
-    DepthImage, ImageError, ImageSource, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
+    DepthImage, ImageError, ImageSource, PinholeCamera, RgbImage, SharedImage, StereoCalibration, StereoFrame,
 };
 use async_trait::async_trait;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -26,8 +26,8 @@ use rand_distr::StandardNormal;
 use crate::coach::HandShown;
 use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
-    DepthSensor, ExposureMotion, Rendering, SensorNoise, Shape, Viewpoint, VisibleScene, depth_of_shapes,
-    render_pair,
+    DepthSensor, ExposureMotion, Rendering, SensorNoise, ShadowedScene, Shape, Viewpoint, VisibleScene,
+    depth_of_shapes,
 };
 use crate::start::RobotStart;
 use crate::truth::FrameTruth;
@@ -227,14 +227,37 @@ impl StereoRig {
         [left, left.shifted_right(baseline)]
     }
 
-    /// Left image, right image and left depth, with the sensors' errors.
-    fn sensed(&self, drawn: [Rendering; 2]) -> (RgbImage, RgbImage, Option<DepthImage>) {
-        let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] = drawn;
+    /// The frame of what was drawn, with the sensors' errors.
+    fn sensed(
+        &self,
+        drawn: PairOfRenderings,
+        exposed_ns: u64,
+        root_from_left: Isometry3<f64>,
+    ) -> StereoFrame {
+        let PairOfRenderings { left: Rendering { image: mut left, depth }, scene, right } = drawn;
         self.noise.apply(&mut left, self.next_frame, 0);
-        self.noise.apply(&mut right, self.next_frame, 1);
-        let focal = self.source.calibration.camera.focal;
-        let depth = self.depth.as_ref().map(|sensor| sensor.sense(depth, focal, self.next_frame));
-        (left, right, depth)
+        let (noise, number) = (self.noise.clone(), self.next_frame);
+        let PinholeCamera { width, height, focal, .. } = self.source.calibration.camera;
+        let right = SharedImage::later(width, height, move || {
+            let mut image = scene.render(&right).image;
+            noise.apply(&mut image, number, 1);
+            image
+        });
+        let depth = self.depth.as_ref().map(|sensor| Arc::new(sensor.sense(depth, focal, number)));
+        StereoFrame { stamp_ns: self.stamp(exposed_ns), left: left.into(), right, depth, root_from_left }
+    }
+}
+
+/// What the left eye sees, without noise, and what the right one will see when somebody looks at it.
+pub(crate) struct PairOfRenderings {
+    left: Rendering,
+    scene: Arc<ShadowedScene>,
+    right: Viewpoint,
+}
+
+impl PairOfRenderings {
+    fn of(scene: &Arc<ShadowedScene>, [left, right]: [Viewpoint; 2]) -> Self {
+        Self { left: scene.render(&left), scene: Arc::clone(scene), right }
     }
 }
 
@@ -254,7 +277,7 @@ pub(crate) struct Eyes {
     left: Option<LinkId>,
     believed_from_true: Isometry3<f64>,
     faults: Faults,
-    last: Option<(RgbImage, RgbImage, Option<DepthImage>)>,
+    last: Option<StereoFrame>,
 }
 
 impl Eyes {
@@ -306,7 +329,7 @@ impl Eyes {
     pub(crate) fn draw(
         &mut self,
         drawing: &Drawing,
-        scene: &VisibleScene,
+        scene: &Arc<ShadowedScene>,
         view: &SceneState<'_>,
     ) -> FrameTruth {
         let (drawn, truth) = self.paint(drawing, scene, view);
@@ -326,24 +349,22 @@ impl Eyes {
         self.rig.next_frame
     }
 
-    /// Renders both images, without noise. Also returns the truth about them.
+    /// What both eyes see, without noise, and the truth about it.
     pub(crate) fn paint(
         &self,
         drawing: &Drawing,
-        scene: &VisibleScene,
+        scene: &Arc<ShadowedScene>,
         view: &SceneState<'_>,
-    ) -> ([Rendering; 2], FrameTruth) {
+    ) -> (PairOfRenderings, FrameTruth) {
         let [before, true_left] =
             drawing.links(self.robot, self.left).map(|left| left * self.believed_from_true);
         let motion = ExposureMotion::between(&before, &true_left, drawing.exposure());
         let [left, right] = self.rig.left_and_right((true_left, motion));
-        let drawn = render_pair(scene, &[left, right]);
+        let drawn = PairOfRenderings::of(scene, [left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
             let alone = VisibleScene::new(skin(&hand));
-            [left, right]
-                .iter()
-                .zip(&drawn)
-                .all(|(eye, drawn)| whole(&hand, eye, &drawn.depth, &depth_of_shapes(&alone, eye)))
+            let in_one = |eye, depth| whole(&hand, eye, depth, &depth_of_shapes(&alone, eye));
+            in_one(&left, &drawn.left.depth) && in_one(&right, &scene.depth_of_shapes(&right))
         });
         let truth = FrameTruth {
             stamp_ns: self.rig.stamp(view.exposed_ns),
@@ -356,26 +377,35 @@ impl Eyes {
     }
 
     /// Adds the sensors' noise and faults.
-    fn sensed(&mut self, view: &SceneState<'_>, drawn: [Rendering; 2]) -> StereoFrame {
-        let mut pictures = self.rig.sensed(drawn);
-        if self.faults.at(view.exposed_ns as f64 * 1e-9) {
-            match self.faults.images {
-                ImageFault::None => {}
-                ImageFault::Black => {
-                    pictures.0.data_mut().fill(0);
-                    pictures.1.data_mut().fill(0);
-                    pictures.2.iter_mut().for_each(|depth| depth.data.fill(0.0));
-                }
-                ImageFault::Swapped => std::mem::swap(&mut pictures.0, &mut pictures.1),
-                ImageFault::Frozen => pictures = self.last.get_or_insert(pictures).clone(),
-            }
-        }
+    fn sensed(&mut self, view: &SceneState<'_>, drawn: PairOfRenderings) -> StereoFrame {
         self.belief.update(view.robots[self.robot].sensed);
         let root_from_left =
             self.left.map_or_else(|| Translation3::from(NO_CAMERA).into(), |left| *self.belief.pose(left));
-        let (left, right, depth) = pictures;
-        let stamp_ns = self.rig.stamp(view.exposed_ns);
-        StereoFrame { stamp_ns, left, right, depth, root_from_left }
+        let mut frame = self.rig.sensed(drawn, view.exposed_ns, root_from_left);
+        if !self.faults.at(view.exposed_ns as f64 * 1e-9) {
+            return frame;
+        }
+        match self.faults.images {
+            ImageFault::None => frame,
+            ImageFault::Black => {
+                let (width, height) = (frame.left.width(), frame.left.height());
+                let black = SharedImage::from(RgbImage::painted(width, height, |_, _| [0; 3]));
+                let depth = frame.depth.map(|_| DepthImage {
+                    width,
+                    height,
+                    data: vec![0.0; width as usize * height as usize],
+                });
+                StereoFrame { left: black.clone(), right: black, depth: depth.map(Arc::new), ..frame }
+            }
+            ImageFault::Swapped => {
+                std::mem::swap(&mut frame.left, &mut frame.right);
+                frame
+            }
+            ImageFault::Frozen => {
+                let StereoFrame { stamp_ns, root_from_left, .. } = frame;
+                StereoFrame { stamp_ns, root_from_left, ..self.last.get_or_insert(frame).clone() }
+            }
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The simulated cameras: a software renderer for simple solids, in colour and depth.
 //!
-//! [`render`] draws a [`VisibleScene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
+//! [`render`] draws a [`VisibleScene`] from a [`Viewpoint`]; [`ShadowedScene`] is one that several cameras look at.
 //! [`SensorNoise`] adds the sensor's noise. [`hand`] is the coach's hand, [`robot`] the robot.
 //!
 //! The renderer has no physics, no time and no random source: the same scene gives the same bytes. It does not draw
@@ -55,15 +55,27 @@ pub fn depth_of_shapes(scene: &VisibleScene, viewpoint: &Viewpoint) -> DepthImag
     draw(scene, &shadows, viewpoint, false).depth
 }
 
-/// Draws a scene from two viewpoints, each on its own thread. The results are the same as those of [`render`].
-pub fn render_pair(scene: &VisibleScene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
-    let shadows = shadows(scene);
-    std::thread::scope(|scope| {
-        let right = scope.spawn(|| draw(scene, &shadows, right, true));
-        let left = draw(scene, &shadows, left, true);
-        let right = right.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        [left, right]
-    })
+/// A scene with its shadows, which are the same for all cameras.
+pub struct ShadowedScene {
+    scene: VisibleScene,
+    shadows: Vec<Option<Shadow>>,
+}
+
+impl ShadowedScene {
+    /// Computes the shadows of a scene.
+    pub fn new(scene: VisibleScene) -> Self {
+        Self { shadows: shadows(&scene), scene }
+    }
+
+    /// As [`depth_of_shapes`].
+    pub fn depth_of_shapes(&self, viewpoint: &Viewpoint) -> DepthImage {
+        depth_of_shapes(&self.scene, viewpoint)
+    }
+
+    /// As [`render`].
+    pub fn render(&self, viewpoint: &Viewpoint) -> Rendering {
+        draw(&self.scene, &self.shadows, viewpoint, true)
+    }
 }
 
 /// The shadows on each tabletop, by the index of its shape.

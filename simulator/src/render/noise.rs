@@ -4,6 +4,8 @@
 //! Drawing a million Gaussian numbers per frame costs more than rendering it. So they are drawn once, into a tile.
 //! Every stretch of a picture adds a piece of the tile from a random position, unchanged or negated.
 
+use std::sync::Arc;
+
 use armarium_visionx::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -21,7 +23,7 @@ const COARSE: f64 = 0.7;
 #[derive(Clone, Debug)]
 pub struct SensorNoise {
     seed: u64,
-    tile: Vec<i16>,
+    tile: Arc<[i16]>,
 }
 
 impl SensorNoise {

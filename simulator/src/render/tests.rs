@@ -79,7 +79,7 @@ fn disparity_is_focal_length_times_baseline_over_depth() {
     for z in [0.6, 0.9, 1.4] {
         let left = ahead();
         let scene = scene(vec![ball([0.05, z, 0.02], 0.03, RED)]);
-        let [a, b] = render_pair(&scene, &[left, left.shifted_right(baseline)]);
+        let [a, b] = [left, left.shifted_right(baseline)].map(|eye| render(&scene, &eye));
         let (a, b) = (centroid(&a), centroid(&b));
         let expected = CAMERA.focal * baseline / z;
         // Whole pixels disturb a centroid by about 0.3 px over the root of the number of rows: 0.06 px here.
@@ -169,8 +169,9 @@ fn the_same_scene_gives_the_same_bytes_on_one_thread_or_two() {
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let scene = scene((0..20).map(|_| arbitrary_shape(&mut random)).collect());
     let eyes = [ahead(), ahead().shifted_right(0.09)];
-    let pair = render_pair(&scene, &eyes);
-    assert_eq!(pair, render_pair(&scene, &eyes));
+    let shadowed = ShadowedScene::new(scene.clone());
+    let pair = eyes.map(|eye| shadowed.render(&eye));
+    assert_eq!(pair, eyes.map(|eye| shadowed.render(&eye)));
     assert_eq!(pair, eyes.map(|eye| render(&scene, &eye)));
 }
 

@@ -14,7 +14,7 @@ impl World {
     #[must_use]
     pub fn for_arm(mut self, model: &Model, arm: &str) -> Self {
         let side = |limb| model.side_of(limb);
-        let Some(then) = model.arms().find(|limb| limb.name == arm).map(side) else { return self };
+        let Some(then) = model.arm(arm).map(side) else { return self };
         let now = self.robot.arm(model).map(side);
         self.robot.arm = Some(arm.to_owned());
         if now.is_some_and(|now| now != then) { self.mirrored() } else { self }

@@ -327,7 +327,7 @@ impl RobotSpec {
     pub fn arm<'m>(&self, model: &'m Model) -> Option<&'m Limb> {
         let Some(wanted) = &self.arm else { return model.arms().next() };
         let is_word = |limb: &Limb| limb.name.split('_').any(|word| word == wanted);
-        model.arms().find(|limb| limb.name == *wanted).or_else(|| model.arms().find(|limb| is_word(limb)))
+        model.arm(wanted).or_else(|| model.arms().find(|limb| is_word(limb)))
     }
 
     fn is_there(&mut self, node: &Node, findings: &mut Findings) {

@@ -3,6 +3,8 @@
 
 use nalgebra::Vector3;
 
+use crate::arm::seconds;
+
 /// Time constant over which the jitter of the tracked hand is smoothed, s.
 const SMOOTHING: f64 = 0.2;
 /// The hand is moving when it is this far from its smoothed position, m.
@@ -91,10 +93,6 @@ impl Arrival {
             self.place = Some((at, then.filter(|_| self.moved)));
         }
     }
-}
-
-fn seconds(from_ns: u64, to_ns: u64) -> f64 {
-    to_ns.saturating_sub(from_ns) as f64 * 1e-9
 }
 
 #[cfg(test)]

@@ -17,18 +17,14 @@ pub(super) async fn observe(equipment: Equipment) {
         let Ok(mut changes) = equipment.memory.subscribe(&Pattern::any()).await else {
             return tracing::warn!("where things are carried is not written: memory cannot be followed");
         };
-        match carry_on(&equipment, &hands).await {
-            Ok(false) => {}
-            Ok(true) => {
-                tokio::time::sleep(PERIOD).await;
-                continue;
-            }
+        let carries = carry_on(&equipment, &hands).await.unwrap_or_else(|failure| {
             // Somebody else has written it meanwhile, or memory is full.
-            Err(failure) => {
-                tracing::debug!("where things are carried was not written: {}", failure.reason);
-                tokio::time::sleep(PERIOD).await;
-                continue;
-            }
+            tracing::debug!("where things are carried was not written: {}", failure.reason);
+            true
+        });
+        if carries {
+            tokio::time::sleep(PERIOD).await;
+            continue;
         }
         // Nothing is carried until memory says so.
         loop {

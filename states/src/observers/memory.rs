@@ -195,7 +195,7 @@ impl Matches {
     /// An attribute in the root frame, if it is known where its own frame stands there.
     fn in_root(&self, name: &str, value: &Value) -> Value {
         let root = Frame::root();
-        let Some(from) = frame_of(value).filter(|frame| **frame != root) else { return value.clone() };
+        let Some(from) = value.frame().filter(|frame| **frame != root) else { return value.clone() };
         match self.own.transforms.read().transform(&root, from, NOW) {
             Ok(to_from_from) => {
                 FrameChange { from, to: &root, to_from_from: &to_from_from }.value(name, value)
@@ -210,18 +210,6 @@ fn rank(a: &Snapshot, b: &Snapshot) -> Ordering {
     let confidence = |of: &Snapshot| of.instance().map_or(0.0, |instance| instance.confidence);
     let by_confidence = confidence(b).total_cmp(&confidence(a));
     by_confidence.then(b.referenced_ns.cmp(&a.referenced_ns)).then_with(|| a.id.cmp(&b.id))
-}
-
-/// The frame of a value, or of the first part of it that has one.
-fn frame_of(value: &Value) -> Option<&Frame> {
-    match value {
-        Value::Vector(vector) => Some(&vector.frame),
-        Value::Pose(pose) => Some(&pose.frame),
-        Value::Wrench(wrench) => Some(&wrench.frame),
-        Value::List(items) => items.iter().find_map(frame_of),
-        Value::Map(fields) => fields.values().find_map(frame_of),
-        _ => None,
-    }
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 //! one wrist sensor, a push along the surface's normal cannot be distinguished from the surface's force.
 
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 
 use armarium_motion::{ContactFrame, FrictionConfig, FrictionModel};
 use armarium_robot::Kinematics;
@@ -10,7 +9,7 @@ use armarium_runtime::channels::Channels;
 use armarium_values::Value;
 use nalgebra::{Point3, Vector3};
 
-use crate::arm::{force_at, sensor_of, tcp_of};
+use crate::arm::{force_at, seconds, sensor_of, tcp_of};
 use crate::equipment::{Equipment, running_motion};
 use crate::inputs::as_vector;
 
@@ -20,6 +19,7 @@ const DECIMATION: u32 = 5;
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let model = equipment.robot.model();
+    let Ok(unknown) = FrictionModel::new(FrictionConfig::default()) else { return };
     // What each arm's wiping feels like is learned by itself.
     let mut frictions: BTreeMap<&str, FrictionModel> = BTreeMap::new();
     let mut kinematics = Kinematics::new(model);
@@ -28,16 +28,10 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     while sensed.changed().await.is_ok() {
         let sample = sensed.borrow_and_update().clone();
         let before = last_ns.replace(sample.stamp_ns).unwrap_or(sample.stamp_ns);
-        let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
+        let dt = seconds(before, sample.stamp_ns);
         let Ok(arm) = equipment.executing_arm(&channels) else { return };
         let (Ok(tcp), Ok(sensor)) = (tcp_of(arm), sensor_of(arm)) else { continue };
-        let friction = match frictions.entry(&arm.name) {
-            Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(new) => match FrictionModel::new(FrictionConfig::default()) {
-                Ok(friction) => new.insert(friction),
-                Err(_) => return,
-            },
-        };
+        let friction = frictions.entry(&arm.name).or_insert_with(|| unknown.clone());
         kinematics.update(&sample.position);
         let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
         let force = force_at(sensor, &sample);

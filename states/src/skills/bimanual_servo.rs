@@ -116,9 +116,7 @@ impl Reach {
             lost_after: LOST_AFTER,
             ..ServoConfig::default()
         };
-        let law = || PositionServo::new(config.clone()).map_err(failed);
-        let laws = [law()?, law()?];
-        let over = context.number("over")?;
+        let (laws, over) = (laws(&config)?, context.number("over")?);
         Ok(Self { config, laws, over, down: None, there: 0.0, farthest: 0.0 })
     }
 
@@ -165,10 +163,7 @@ impl Reach {
                 if self.there >= HOLD {
                     self.down = Some(0.0);
                     self.there = 0.0;
-                    self.laws = [
-                        PositionServo::new(self.config.clone()).map_err(failed)?,
-                        PositionServo::new(self.config.clone()).map_err(failed)?,
-                    ];
+                    self.laws = laws(&self.config)?;
                 }
                 0.0
             }
@@ -195,6 +190,11 @@ impl Reach {
             _ => 1.0 - oldest / LOST_AFTER,
         }
     }
+}
+
+fn laws(config: &ServoConfig) -> Result<[PositionServo; 2], Failure> {
+    let law = || PositionServo::new(config.clone()).map_err(failed);
+    Ok([law()?, law()?])
 }
 
 /// Moves the target of a hand that is beside its grasp, and not yet clear of it, to above where the hand is.

@@ -7,14 +7,14 @@
 use armarium_motion::rigid_fit;
 use armarium_robot::Marker;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, marker};
 use crate::hand_eye::{load_mounting, store_mounting};
-use crate::inputs::{as_point, seen_at};
+use crate::inputs::{Inputs, seen_at};
 use crate::motions::failed;
 use crate::surface::from_level;
 
@@ -64,12 +64,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (works, hand) =
         (workspace(model, &arm.limb, &equipment.robot.sensed().borrow().position)?, hand(model, &arm.limb)?);
     let facing = from_level(&hand.grasps_from(&works.rotation));
-    let center = match context.value("center")? {
-        center if center.as_list().is_some_and(<[Value]>::is_empty) => {
-            Point3::from(works.translation.vector + facing * Vector3::from(OVER_WORKSPACE))
-        }
-        center => as_point(center).ok_or_else(|| Failure::new("`center` needs three numbers"))?,
-    };
+    let over_workspace = works.translation.vector + facing * Vector3::from(OVER_WORKSPACE);
+    let center = context.vector_if_given("center")?.unwrap_or(over_workspace);
     let yaw = model.side_of(&arm.limb) * context.number("yaw")?;
     let palm = facing * hand.palm_down(yaw);
     let largest = context.number("residual")?;
@@ -79,7 +75,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let known = load_mounting(&*equipment.memory, &equipment.agent).await?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
-        let tcp = Isometry3::from_parts((center.coords + facing * Vector3::from(place)).into(), palm);
+        let tcp = Isometry3::from_parts((center + facing * Vector3::from(place)).into(), palm);
         arm.go(&mut senses, tcp, 0.2, |_| Ok(())).await?;
         if let Some((is, should)) = look(&equipment, &marker, &mut arm, &mut senses).await? {
             seen.push(is);

@@ -1,14 +1,14 @@
 //! `CarryTogether`: both hands carry what is between them to another place.
 
 use armarium_motion::StraightLine;
-use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
 use crate::both::{BothArms, config, holding, holds, moves_both, turns_torso};
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, as_vector};
+use crate::inputs::Inputs;
 use crate::motions::failed;
 
 /// The outcome besides `success`.
@@ -36,7 +36,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let by = as_vector(context.value("by")?).ok_or_else(|| Failure::new("`by` needs three numbers"))?;
+    let by = context.vector("by")?;
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
     let mut both = BothArms::take_to(&equipment, &context, &[by], holding(&context)?).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);

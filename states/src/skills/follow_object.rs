@@ -110,7 +110,5 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
 /// Where memory believes a thing to be, root frame, m.
 async fn place(equipment: &Equipment, id: &EntityId) -> Result<Vector3<f64>, Failure> {
-    let known = equipment.memory.latest(id).await.map_err(failed)?;
-    let pose = equipment.remembered().root_pose(&known);
-    Ok(pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?.translation.vector)
+    Ok(equipment.remembered().find(id).await?.1.translation.vector)
 }

@@ -65,7 +65,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut led = Led::default();
     loop {
         let (sample, dt) = senses.next().await?;
-        if let Some(Fault::Force { force_n, .. }) = arm.leases.fault() {
+        if let Some(Fault::Force { force_n, .. }) = arm.leases.lease.fault() {
             return Ok(led.outcome(SHOVED, force_n));
         }
         let pose = arm.tcp(&sample);

@@ -92,8 +92,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
 /// Why the eyes go to a view: what is there, how uncertain its place is, and the states whose skills need it.
 fn explained(view: &GazeView, watched: &[AttendedPlace]) -> Value {
-    let of = view.of.iter().filter_map(|name| watched.iter().find(|thing| thing.name == *name));
-    let said = of.map(|thing| {
+    let said = in_view(view, watched).map(|thing| {
         Value::record([
             ("thing", Value::from(thing.name.as_str())),
             ("off_by", Value::Float((thing.deviation * 1e4).round() / 1e4)),
@@ -105,6 +104,11 @@ fn explained(view: &GazeView, watched: &[AttendedPlace]) -> Value {
         ])
     });
     Value::record([("looks_at", Value::List(said.collect()))])
+}
+
+/// What is in a view.
+fn in_view<'w>(view: &'w GazeView, watched: &'w [AttendedPlace]) -> impl Iterator<Item = &'w AttendedPlace> {
+    view.of.iter().filter_map(|name| watched.iter().find(|thing| thing.name == *name))
 }
 
 /// Where the eyes look.
@@ -151,12 +155,7 @@ impl Gaze {
         self.in_vain = in_vain;
         let reached = |direction: &Unit<Vector3<f64>>| head.reached(sample, &(eye + direction.into_inner()));
         let view = self.selection.choose(dt, &axis, &targets, reached)?;
-        let far: Vec<f64> = view
-            .of
-            .iter()
-            .filter_map(|name| watched.iter().find(|thing| thing.name == *name))
-            .map(|thing| (thing.place - eye).norm())
-            .collect();
+        let far: Vec<f64> = in_view(&view, watched).map(|thing| (thing.place - eye).norm()).collect();
         let distance = if far.is_empty() { 1.0 } else { far.iter().sum::<f64>() / far.len() as f64 };
         self.middle = Some(eye + view.direction.into_inner() * distance);
         if view.changed {

@@ -1,10 +1,11 @@
 //! `HoldStill`: keeps a limb where it is, so that nobody else moves it, until it is cancelled.
 
-use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::Type;
 
 use crate::arm::{Senses, lease};
 use crate::equipment::{self, Equipment};
+use crate::motions::failed;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -24,6 +25,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     loop {
         senses.next().await?;
-        lease.command(&still).map_err(|fault| Failure::new(fault.to_string()))?;
+        lease.command(&still).map_err(failed)?;
     }
 }

@@ -80,9 +80,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let written = updater.update_from(&seen, search.as_ref()).await.map_err(failed)?;
     let id = written.into_iter().map(|(id, _)| id).next_back();
     let id = id.ok_or_else(|| Failure::new("nothing was written to memory"))?;
-    let known = equipment.memory.latest(&id).await.map_err(failed)?;
-    let pose = equipment.remembered().root_pose(&known);
-    let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
+    let (_, pose) = equipment.remembered().find(&id).await?;
     Ok(Outcome::success().with("object", reference("Object", &id)).with("pose", pose_value(&pose)))
 }
 

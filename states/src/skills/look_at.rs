@@ -1,13 +1,13 @@
 //! `LookAt`: turns the head until the cameras look at a point.
 
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Point3, Vector3};
 
 use crate::arm::{Senses, chosen, names_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::head::{Head, moves_the_head};
-use crate::inputs::{as_point, as_vector};
+use crate::inputs::Inputs;
 
 /// Largest speed of a joint, rad/s.
 const SPEED: f64 = 1.0;
@@ -40,16 +40,16 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 fn point(equipment: &Equipment, context: &SkillContext) -> Result<Point3<f64>, Failure> {
     let arm = chosen(equipment, context);
     let model = equipment.robot.model();
-    let point = match context.value("point")? {
-        point if point.as_list().is_some_and(<[Value]>::is_empty) => Point3::from(
-            workspace(model, arm.clone()?, &equipment.robot.sensed().borrow().position)?.translation.vector,
-        ),
-        point => as_point(point).ok_or_else(|| Failure::new("`point` needs three numbers"))?,
+    let point = match context.vector_if_given("point")? {
+        Some(point) => point,
+        None => {
+            let now = equipment.robot.sensed().borrow();
+            workspace(model, arm.clone()?, &now.position)?.translation.vector
+        }
     };
-    let offset = context.value("offset")?;
-    let offset = as_vector(offset).ok_or_else(|| Failure::new("`offset` needs three numbers"))?;
     let outwards = arm.map_or(1.0, |arm| model.side_of(arm));
-    Ok(point + offset.component_mul(&Vector3::new(outwards, 1.0, 1.0)))
+    let offset = context.vector("offset")?.component_mul(&Vector3::new(outwards, 1.0, 1.0));
+    Ok(Point3::from(point + offset))
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

@@ -38,10 +38,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let now = senses.newest().position.clone();
     let around = Around::of(&equipment, arm, &leases, &now, None).await?;
     let path = around.way_to_joints(now, goal).await?;
-    follow(&mut senses, model, &leases.joints, &path, (tolerance, timeout), |velocities| {
-        leases.command(velocities)
-    })
-    .await?;
+    follow(&mut senses, model, &leases, &path, (tolerance, timeout)).await?;
     Ok(Outcome::success())
 }
 

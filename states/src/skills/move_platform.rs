@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use armarium_robot::{Lease, Model, Platform, PlatformKind, Sensed};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
 use crate::arm::{Senses, lease};
 use crate::equipment::{self, Equipment};
-use crate::inputs::{as_vector, pose_value};
+use crate::inputs::{Inputs, pose_value};
+use crate::motions::failed;
 
 /// Gain of the errors, 1/s.
 const GAIN: f64 = 2.0;
@@ -94,14 +95,11 @@ fn place(model: &Model, platform: &Platform, sample: &Sensed) -> Isometry3<f64> 
 
 /// Where it is to go, root frame.
 fn goal(context: &SkillContext, here: &Isometry3<f64>) -> Result<Isometry3<f64>, Failure> {
-    let given = |value: &Value| value.as_list().is_some_and(|list| !list.is_empty());
-    let [to, by] = [context.value("to")?, context.value("by")?];
-    let (from, way) = match (given(to), given(by)) {
-        (true, false) => (Isometry3::identity(), to),
-        (false, true) => (*here, by),
+    let (from, way) = match (context.vector_if_given("to")?, context.vector_if_given("by")?) {
+        (Some(to), None) => (Isometry3::identity(), to),
+        (None, Some(by)) => (*here, by),
         _ => return Err(Failure::new("give either `to` or `by`")),
     };
-    let way = as_vector(way).ok_or_else(|| Failure::new("`to` and `by` need three numbers"))?;
     Ok(from * Isometry3::new(Vector3::new(way.x, way.y, 0.0), Vector3::z() * way.z))
 }
 
@@ -150,8 +148,7 @@ impl Drive {
                 (if held { Vector2::zeros() } else { way * speed }, turning)
             }
         };
-        let command = self.lease.command(&[velocity.x, velocity.y, turning]);
-        command.map_err(|fault| Failure::new(fault.to_string()))
+        self.lease.command(&[velocity.x, velocity.y, turning]).map_err(failed)
     }
 }
 

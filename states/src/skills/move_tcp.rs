@@ -49,10 +49,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (model, now) = (equipment.robot.model(), senses.newest().position.clone());
     let around = Around::of(&equipment, &arm.limb, &arm.leases, &now, Some(&target)).await?;
     if let Some(path) = around.way_to_pose(now, target, speed).await? {
-        follow(&mut senses, model, arm.joints(), &path, (NEAR_THE_GOAL, reached.timeout), |velocities| {
-            arm.command(velocities)
-        })
-        .await?;
+        follow(&mut senses, model, &arm.leases, &path, (NEAR_THE_GOAL, reached.timeout)).await?;
     }
     move_to(&mut arm, &mut senses, target, speed, &reached).await
 }

@@ -1,11 +1,11 @@
 //! `MoveTcpBy`: moves the arm's TCP by an offset, without rotation.
 
-use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
-use crate::inputs::as_vector;
+use crate::inputs::Inputs;
 use crate::skills::move_tcp::{Reached, move_to};
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
@@ -22,8 +22,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let offset =
-        as_vector(context.value("offset")?).ok_or_else(|| Failure::new("`offset` needs three numbers"))?;
+    let offset = context.vector("offset")?;
     let reached = Reached {
         position: context.number("position_tolerance")?,
         angle: 0.1,

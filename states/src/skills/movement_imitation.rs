@@ -27,6 +27,8 @@ const POINTS: usize = 200;
 
 /// A motion was demonstrated inside the workspace if its centre is nearer to the workspace's centre than this, m.
 const MAX_OFFSET: f64 = 0.15;
+/// A tool that has not been seen for longer than this is gone, s.
+const GONE_AFTER: f64 = 2.5;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -97,17 +99,13 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<(Swipe, 
             let since = last_learned.replace(time).map_or(1.0 / 15.0, |t| time - t);
             imitation.observe(since, point.coords.as_slice()).map_err(failed)?;
         }
-        let ended = known.stage == DemonstrationStage::Ended || gone(last_learned, time);
+        let gone = last_learned.is_some_and(|seen| time - seen > GONE_AFTER);
+        let ended = known.stage == DemonstrationStage::Ended || gone;
         if ended || imitation.periods() >= most_periods {
             let swipe = known.swipe.ok_or_else(|| Failure::new("the demonstration had no first swipe"))?;
             return Ok((swipe, imitation, sample.stamp_ns));
         }
     }
-}
-
-/// Whether the tool was last seen long before `time`, s.
-fn gone(last_seen: Option<f64>, time: f64) -> bool {
-    last_seen.is_some_and(|t| time - t > 2.5)
 }
 
 /// The learned motion, placed in the workspace of the first swipe and made level, because the coach does not hold

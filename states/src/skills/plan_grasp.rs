@@ -14,8 +14,6 @@ use crate::arm::{chosen, free_joints, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, pose_value};
-use crate::motions::failed;
-use crate::prior::{class_name, object_class};
 use crate::surface::Surface;
 
 /// Possible rotations of the hand against the object's sides, rad; the closing pads align the object. Each radian
@@ -44,11 +42,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let id = context.entity("object")?;
     let height = context.number("height")?;
-    let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
-    let pose = equipment.remembered().root_pose(&snapshot);
-    let object = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
-    let class = class_name(&snapshot)?;
-    let [length, width, _] = object_class(&*equipment.memory, class).await?.size;
+    let (class, object) = equipment.remembered().thing(&id).await?;
+    let [length, width, _] = class.size;
     let center = Point3::from(object.translation.vector);
     let surface = Surface::under(equipment.remembered(), &center).await?;
     let yaw = (surface.rotation().inverse() * object.rotation).euler_angles().2;

@@ -2,10 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use armarium_motion::{
-    LinePoint, MotionError, MovementPlay, PeriodicDmp, PeriodicOrientationDmp, StraightLine,
-};
-use armarium_robot::Sensed;
+use armarium_motion::{LinePoint, MotionError, MovementPlay, PeriodicDmp, PeriodicOrientationDmp};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 use nalgebra::{Isometry3, Vector3};
@@ -53,16 +50,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let begin = play.pose();
     let mut arm = LeasedArm::take(&equipment, &context, &[begin]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let here = arm.tcp(&senses.newest());
-    let mut line = StraightLine::new(here, begin, context.number("speed")?).map_err(failed)?;
-    while !line.rested(0.3) {
-        let (sample, dt) = senses.next().await?;
-        follow(&mut arm, &sample, &line.step(dt).map_err(failed)?)?;
-    }
+    arm.go(&mut senses, begin, context.number("speed")?, check_track).await?;
     let (mut begun, mut ended, mut rested) = (false, false, 0.0);
     loop {
         let (sample, dt) = senses.next().await?;
-        follow(&mut arm, &sample, &play.step(dt).map_err(failed)?)?;
+        let point = play.step(dt).map_err(failed)?;
+        check_track(arm.track(&sample, &point.pose, point.linear, point.angular)?)?;
         if !begun && play.runs() {
             context.events.raise(BEGINS, Value::Null);
             begun = true;
@@ -78,9 +71,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
 }
 
-/// Goes on with a step of the way.
-fn follow(arm: &mut LeasedArm, sample: &Sensed, point: &LinePoint) -> Result<(), Failure> {
-    let behind = arm.track(sample, &point.pose, point.linear, point.angular)?;
+fn check_track(behind: f64) -> Result<(), Failure> {
     if behind > LOST_TRACK {
         return Err(Failure::new(format!(
             "the arm cannot follow the motion: it is {:.0} mm behind",

@@ -3,7 +3,7 @@
 use armarium_motion::{Holding, LinePoint, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Translation3, Vector3};
 
 use crate::arm::Senses;
 use crate::both::{BothArms, at_rest, config, holding, holds, moves_both};
@@ -59,7 +59,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
     let above = (context.number("expected")?.min(farthest) - BEFORE).max(0.0);
-    let low = moved(law.taken(), &(Vector3::z() * -above));
+    let low = Translation3::from(Vector3::z() * -above) * law.taken();
     let mut line = StraightLine::new(*law.taken(), low, LOWERING).map_err(failed)?;
     let (mut weight, mut weighed, mut depth, mut borne) = (0.0, 0.0, 0.0, 0.0);
     let forces = loop {
@@ -70,7 +70,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             line.step(dt).map_err(failed)?
         } else {
             depth += speed * dt;
-            lowered(&low, depth, speed)
+            let down = -Vector3::z();
+            LinePoint { linear: down * speed, ..at_rest(Translation3::from(down * depth) * low) }
         };
         let Some(step) = both.carry((&sample, dt), &mut law, &goal)? else {
             return Ok(Outcome::named(LOST).with("depth", above + depth));
@@ -103,22 +104,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let (sample, dt) = senses.next().await?;
         way += LETTING_GO * dt;
         let apart = |hand: LinePoint, sign: f64| LinePoint {
-            pose: moved(&hand.pose, &(line * (sign * way))),
+            pose: Translation3::from(line * (sign * way)) * hand.pose,
             linear: line * (sign * LETTING_GO),
             ..hand
         };
         both.track(&sample, &[apart(stand[0], -1.0), apart(stand[1], 1.0)])?;
     }
     Ok(borne)
-}
-
-fn moved(pose: &Isometry3<f64>, by: &Vector3<f64>) -> Isometry3<f64> {
-    let mut pose = *pose;
-    pose.translation.vector += by;
-    pose
-}
-
-fn lowered(taken: &Isometry3<f64>, depth: f64, speed: f64) -> LinePoint {
-    let down = -Vector3::z();
-    LinePoint { linear: down * speed, ..at_rest(moved(taken, &(down * depth))) }
 }

@@ -6,12 +6,12 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::{Pattern, Query, Snapshot};
+use armarium_memoryx::Snapshot;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 use nalgebra::Isometry3;
 
-use crate::arm::Senses;
+use crate::arm::{Senses, seconds};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{pose_value, reference};
 use crate::motions::failed;
@@ -46,8 +46,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             continue;
         }
         asked = waited;
-        let query = Query::latest(Pattern::segment("ObjectInstances"));
-        let known = equipment.memory.query(&query).await.map_err(failed)?;
+        let known = equipment.memory.segment("ObjectInstances").await.map_err(failed)?;
         match newest(equipment.remembered(), &known, class, sample.stamp_ns, max_age) {
             Ok((snapshot, pose)) => {
                 return Ok(Outcome::success()
@@ -55,39 +54,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                     .with("pose", pose_value(&pose))
                     .with("told_by", seen_by(snapshot).unwrap_or(&equipment.agent)));
             }
-            Err(unknown) if waited > timeout => {
-                let why = unknown.explain(class, max_age);
+            Err(why) if waited > timeout => {
                 return Err(Failure::new(format!("{why}; waited {timeout:.0} s")));
             }
             Err(_) => {}
-        }
-    }
-}
-
-/// Why memory has no usable pose of an object.
-#[derive(Debug, PartialEq)]
-enum Unknown {
-    Never,
-    Old { age_s: f64, id: String },
-    Held { by: String },
-    Elsewhere { id: String },
-}
-
-impl Unknown {
-    fn explain(&self, class: &str, max_age: f64) -> String {
-        match self {
-            Self::Never => format!(
-                "nobody has told where an object `{class}` is; is an agent who sees it followed, and does it run?"
-            ),
-            Self::Old { age_s, id } => {
-                format!(
-                    "the newest that is known of `{class}` (`{id}`) is {age_s:.1} s old, over {max_age:.1} s"
-                )
-            }
-            Self::Held { by } => format!("`{class}` is in the hand `{by}`"),
-            Self::Elsewhere { id } => format!(
-                "`{id}` has no pose in the root frame: it is not known where the agent stands who saw it"
-            ),
         }
     }
 }
@@ -104,18 +74,27 @@ fn newest<'k>(
     class: &str,
     now_ns: u64,
     max_age: f64,
-) -> Result<(&'k Snapshot, Isometry3<f64>), Unknown> {
+) -> Result<(&'k Snapshot, Isometry3<f64>), Failure> {
     let of_class = known.iter().filter(|s| s.attribute("class").and_then(Value::as_str) == Some(class));
-    let newest = of_class.max_by_key(|s| s.referenced_ns).ok_or(Unknown::Never)?;
-    let age_s = now_ns.saturating_sub(newest.referenced_ns) as f64 * 1e-9;
-    let id = newest.id.to_string();
+    let newest = of_class.max_by_key(|s| s.referenced_ns).ok_or_else(|| {
+        Failure::new(format!(
+            "nobody has told where an object `{class}` is; is an agent who sees it followed, and does it run?"
+        ))
+    })?;
+    let (age_s, id) = (seconds(newest.referenced_ns, now_ns), &newest.id);
     if let Some(by) = newest.attribute("attached_to").and_then(Value::as_str) {
-        return Err(Unknown::Held { by: by.to_owned() });
+        return Err(Failure::new(format!("`{class}` is in the hand `{by}`")));
     }
     if age_s > max_age {
-        return Err(Unknown::Old { age_s, id });
+        return Err(Failure::new(format!(
+            "the newest that is known of `{class}` (`{id}`) is {age_s:.1} s old, over {max_age:.1} s"
+        )));
     }
-    let pose = remembered.root_pose(newest).ok_or(Unknown::Elsewhere { id })?;
+    let pose = remembered.root_pose(newest).ok_or_else(|| {
+        Failure::new(format!(
+            "`{id}` has no pose in the root frame: it is not known where the agent stands who saw it"
+        ))
+    })?;
     Ok((newest, pose))
 }
 
@@ -156,7 +135,7 @@ mod tests {
         known: &'k [Arc<Snapshot>],
         class: &str,
         now_s: u64,
-    ) -> Result<(&'k Snapshot, Isometry3<f64>), Unknown> {
+    ) -> Result<(&'k Snapshot, Isometry3<f64>), Failure> {
         let mut transforms = Transforms::new();
         let stands = Pose::new(WORLD.into(), &Isometry3::translation(0.3, 0.0, 0.0));
         transforms.fix(&Frame::root(), &stands).unwrap();
@@ -188,17 +167,22 @@ mod tests {
 
     #[tokio::test]
     async fn what_does_not_help_is_said() {
-        let unknown = |known: &[Arc<Snapshot>], class: &str| newest(known, class, 20).unwrap_err();
+        let unknown = |known: &[Arc<Snapshot>], class: &str| newest(known, class, 20).unwrap_err().reason;
         let old = sponge("bob", 3, "root", 0.1, false);
-        assert_eq!(unknown(&[Arc::clone(&old)], "cup"), Unknown::Never);
-        assert!(
-            matches!(unknown(&[Arc::clone(&old)], "sponge"), Unknown::Old { age_s, .. } if age_s == 17.0)
+        let never =
+            "nobody has told where an object `cup` is; is an agent who sees it followed, and does it run?";
+        assert_eq!(unknown(&[Arc::clone(&old)], "cup"), never);
+        assert_eq!(
+            unknown(&[Arc::clone(&old)], "sponge"),
+            "the newest that is known of `sponge` (`ObjectInstances/bob/sponge`) is 17.0 s old, over 5.0 s"
         );
         let held = sponge("bob", 18, "root", 0.1, true);
-        let said = unknown(&[old, held], "sponge");
-        assert_eq!(said, Unknown::Held { by: "bob/right_hand".into() });
-        assert_eq!(said.explain("sponge", 5.0), "`sponge` is in the hand `bob/right_hand`");
+        assert_eq!(unknown(&[old, held], "sponge"), "`sponge` is in the hand `bob/right_hand`");
         let elsewhere = sponge("alice.alice", 18, "alice/root", 0.1, false);
-        assert!(matches!(unknown(&[elsewhere], "sponge"), Unknown::Elsewhere { .. }));
+        assert_eq!(
+            unknown(&[elsewhere], "sponge"),
+            "`ObjectInstances/alice.alice/sponge` has no pose in the root frame: it is not known where the agent \
+             stands who saw it"
+        );
     }
 }

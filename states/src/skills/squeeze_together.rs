@@ -3,14 +3,13 @@
 use armarium_motion::{LinePoint, LoadStatus, SharedLoad, SharedLoadConfig, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, Matrix3, Rotation3, Unit as UnitVector, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit as UnitVector, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
 use crate::both::{BothArms, at_rest, config, moves_both, squeezes};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::motions::failed;
-use crate::prior::{class_name, object_class};
 
 /// How far beside the object the hands wait before they come nearer, m.
 const BESIDE: f64 = 0.06;
@@ -40,27 +39,14 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let config = config(&equipment, &context)?;
-    let (object, size) = object(&equipment, &context).await?;
+    let (class, object) = equipment.remembered().thing(&context.entity("object")?).await?;
     let mut both = BothArms::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let sides = sides(&object, &size, &both.faces(&senses.newest()));
+    let sides = sides(&object, &class.size.into(), &both.faces(&senses.newest()));
     go_beside(&mut both, &mut senses, &sides).await?;
     touch(&mut both, &mut senses, &sides).await?;
     let force = squeeze(&mut both, &mut senses, config).await?;
     Ok(Outcome::success().with("force", force))
-}
-
-/// Where the object is, and its edges, m.
-async fn object(
-    equipment: &Equipment,
-    context: &SkillContext,
-) -> Result<(Isometry3<f64>, Vector3<f64>), Failure> {
-    let id = context.entity("object")?;
-    let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
-    let pose = equipment.remembered().root_pose(&snapshot);
-    let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
-    let size = object_class(&*equipment.memory, class_name(&snapshot)?).await?.size;
-    Ok((pose, Vector3::from(size)))
 }
 
 /// The faces of both hands on two opposite sides of a box: those across which the hands are.
@@ -91,9 +77,7 @@ fn pressing(direction: &Vector3<f64>, now: &UnitQuaternion<f64>) -> UnitQuaterni
 
 /// A face, so far back from its side, m.
 fn back(side: &Isometry3<f64>, way: f64) -> Isometry3<f64> {
-    let mut face = *side;
-    face.translation.vector -= side.rotation * Vector3::x() * way;
-    face
+    Translation3::from(side.rotation * Vector3::x() * -way) * side
 }
 
 async fn go_beside(

@@ -78,10 +78,7 @@ async fn next(senses: &mut Senses, held: &ArmLeases) -> Result<(Arc<Sensed>, f64
     let next = tokio::time::timeout(SILENT_AFTER, senses.next()).await.map_err(|_| {
         Failure::new(format!("the robot has sent no sample for {} ms", SILENT_AFTER.as_millis()))
     })??;
-    match held.fault() {
-        Some(fault) => Err(Failure::new(fault.to_string())),
-        None => Ok(next),
-    }
+    held.lease.fault().map_or(Ok(next), |fault| Err(failed(fault)))
 }
 
 /// Speed of the fastest joint that moves the hand, rad/s.

@@ -1,7 +1,5 @@
 //! `VerifyGrasp`: checks that the hand holds the object: by aperture, vision and weight.
 
-use std::collections::BTreeMap;
-
 use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
@@ -43,7 +41,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let object = context.entity("object")?;
-    let class = class_of(&*equipment.memory, &object).await?;
+    let known = equipment.memory.latest(&object).await.map_err(failed)?;
+    let class = class_of(&*equipment.memory, &known).await?;
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
 
@@ -81,13 +80,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let shape = Some(LoadShape { tcp_from_box, size });
     let load = Load { name: object.to_string(), mass_kg: mass, center_in_tcp: held, shape };
     equipment.robot.set_load(&hand.name, Some(load)).map_err(failed)?;
-    let grasp = BTreeMap::from([
-        ("tcp".to_owned(), pose_value(&tcp_at_grasp)),
-        ("surface".to_owned(), pose_value(&surface.pose())),
-        ("height".to_owned(), Value::Float(class.size[2])),
-        ("mass".to_owned(), Value::Float(mass)),
+    let grasp = Value::record([
+        ("tcp", pose_value(&tcp_at_grasp)),
+        ("surface", pose_value(&surface.pose())),
+        ("height", class.size[2].into()),
+        ("mass", mass.into()),
     ]);
-    Ok(Outcome::success().with("mass", mass).with("grasp", Value::Map(grasp)))
+    Ok(Outcome::success().with("mass", mass).with("grasp", grasp))
 }
 
 /// A detected object must be in the hand, at most so far from its place, m. An object that is not detected may be hidden by the hand that

@@ -8,14 +8,13 @@ use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
-use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of};
+use crate::arm::{LeasedArm, Senses, moves_the_arm, seconds, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, held_in_tcp, marker};
 use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
-use crate::prior::{class_name, object_class};
 use crate::skills::move_tcp::tolerances;
 use crate::surface::Surface;
 
@@ -70,22 +69,19 @@ async fn servo(
         max_linear: 0.12,
         ..ServoConfig::default()
     })
-    .map_err(|e| Failure::new(e.to_string()))?;
+    .map_err(failed)?;
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
     let marker_link = marker(equipment.robot.model(), &arm.limb)?.link;
     let mut last_frame_ns = None;
     loop {
         let (sample, _) = senses.next().await?;
         if let Some(frame) = sight.sight.newest().map_err(failed)? {
-            let dt = frame.stamp_ns.saturating_sub(last_frame_ns.unwrap_or(frame.stamp_ns)).max(1_000_000)
-                as f64
-                * 1e-9;
-            last_frame_ns = Some(frame.stamp_ns);
-            let [tcp, marker] =
-                [tcp_of(&arm.limb)?, marker_link].map(|link| equipment.link_at(link, frame.stamp_ns));
-            let (tcp, marker) = (tcp?, marker?);
+            let before = last_frame_ns.replace(frame.stamp_ns).unwrap_or(frame.stamp_ns);
+            let dt = seconds(before, frame.stamp_ns).max(1e-3);
+            let tcp = equipment.link_at(tcp_of(&arm.limb)?, frame.stamp_ns)?;
+            let marker = equipment.link_at(marker_link, frame.stamp_ns)?;
             let observation = sight.observe(&frame, &tcp, &marker, &over);
-            let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;
+            let command = law.step(dt, observation.as_ref()).map_err(failed)?;
             match command.status {
                 ServoStatus::Running => {}
                 ServoStatus::Converged => return Ok(command.distance),
@@ -132,12 +128,8 @@ struct Detections {
 
 impl Detections {
     async fn new(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
-        let id = context.entity("object")?;
-        let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
-        let pose = equipment.remembered().root_pose(&snapshot);
-        let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
+        let (class, pose) = equipment.remembered().thing(&context.entity("object")?).await?;
         let surface = Surface::under(equipment.remembered(), &pose.translation.vector.into()).await?;
-        let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
         let marker = marker(equipment.robot.model(), arm)?;
         let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
         let localizer = localizer.standing_on(surface.rotation());
@@ -166,11 +158,9 @@ impl Detections {
     ) -> Option<ServoObservation> {
         self.look_for_object(frame);
         let seen = frame.of_class(HAND).filter(|marker| marker.confidence > 0.3).and_then(seen_at)?;
-        let shift = seen.coords - marker.translation.vector;
-        let mut hand = *tcp;
-        hand.translation.vector += shift;
+        let shift = Translation3::from(seen.coords - marker.translation.vector);
         let target = self.center.coords - self.palm * self.held_in_tcp.coords + over;
-        Some(ServoObservation { hand, target: Isometry3::from_parts(target.into(), self.palm) })
+        Some(ServoObservation { hand: shift * tcp, target: Isometry3::from_parts(target.into(), self.palm) })
     }
 
     fn look_for_object(&mut self, frame: &Sighting) {

@@ -1,6 +1,6 @@
 //! `WeighHand`: takes the wrist force of the hand in its present state as zero.
 
-use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::Vector3;
 
@@ -30,7 +30,7 @@ pub(crate) async fn mean_force(
     arm: &mut LeasedArm,
     senses: &mut Senses,
     duration: f64,
-) -> Result<Vector3<f64>, armarium_runtime::skill::Failure> {
+) -> Result<Vector3<f64>, Failure> {
     let (mut elapsed, mut samples, mut sum) = (-0.2, 0.0, Vector3::zeros());
     while elapsed < duration {
         let (sample, dt) = senses.next().await?;

@@ -43,7 +43,7 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
     memory.commit_now(commit("alice", "cup")).unwrap();
     let shared = Arc::clone(&memory);
     let options = ServerOptions { guarded: true, store: None };
-    let _server = MemoryServer::start_with(&far, "alice", shared, options).await.unwrap();
+    let _server = MemoryServer::start(&far, "alice", shared, options).await.unwrap();
     let endpoints = far.endpoints().await;
     let open = async |tls: Tls| {
         let config = SessionConfig { tls: Some(tls), ..SessionConfig::connected_to(&endpoints) };

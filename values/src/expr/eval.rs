@@ -9,21 +9,33 @@ use super::{MAX_ITEMS, MAX_PARTS};
 use crate::Value;
 use crate::value::text_parts;
 
-/// Supplies the values of names during an evaluation.
+/// Supplies the values of names during an evaluation; what a context does not supply has no value.
 pub trait EvalContext {
     /// The value in a numbered slot; `None` when it has none yet.
-    fn data(&self, slot: u32) -> Option<&Value>;
+    fn data(&self, _slot: u32) -> Option<&Value> {
+        None
+    }
     /// The newest value of a channel, or of its field `path`; `None` when the channel was never published or lacks
     /// the field.
-    fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
+    fn channel(&self, _channel: u32, _path: &[String]) -> Option<Value> {
+        None
+    }
     /// Seconds since a channel was published; `None` when it never was.
-    fn age(&self, channel: u32) -> Option<f64>;
+    fn age(&self, _channel: u32) -> Option<f64> {
+        None
+    }
     /// The name of the event that is being processed.
-    fn event_name(&self) -> Option<&str>;
+    fn event_name(&self) -> Option<&str> {
+        None
+    }
     /// The data of the event that is being processed.
-    fn event_data(&self) -> Option<&Value>;
+    fn event_data(&self) -> Option<&Value> {
+        None
+    }
     /// Whether a state is active.
-    fn active(&self, state: u32) -> bool;
+    fn active(&self, _state: u32) -> bool {
+        false
+    }
 }
 
 /// Why an evaluation failed.

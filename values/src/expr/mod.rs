@@ -203,26 +203,7 @@ pub struct Reads {
 /// What an expression sees that reads nothing.
 struct Nothing;
 
-impl EvalContext for Nothing {
-    fn data(&self, _: u32) -> Option<&Value> {
-        None
-    }
-    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
-        None
-    }
-    fn age(&self, _: u32) -> Option<f64> {
-        None
-    }
-    fn event_name(&self) -> Option<&str> {
-        None
-    }
-    fn event_data(&self) -> Option<&Value> {
-        None
-    }
-    fn active(&self, _: u32) -> bool {
-        false
-    }
-}
+impl EvalContext for Nothing {}
 
 /// A checked expression, ready to be evaluated.
 #[derive(Clone, Debug)]

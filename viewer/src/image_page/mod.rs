@@ -8,22 +8,23 @@ use std::time::Duration;
 use armarium_visionx::providers::convert::{jpeg, rgb_of};
 use armarium_visionx::providers::{ImageProvider, RawFrame, RemoteProvider};
 use armarium_visionx::{ImageError, RgbImage};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Semaphore, watch};
+use hyper::body::{Bytes, Incoming};
+use hyper::header::HeaderValue;
+use hyper::{Request, Response, StatusCode};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
 
-/// Longest accepted request, bytes.
-const MAX_REQUEST: usize = 8192;
-/// How long a browser may take to send a request, and a frame to arrive.
+use crate::http::{Admission, Body, HTML, Refusal, SCRIPT, Server, Site, body, plain};
+
+/// How long a frame may take to arrive.
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a frame is taken even if no browser requests it.
 const IDLE_INTERVAL: Duration = Duration::from_secs(5);
-/// Most browsers at a time.
-const MAX_BROWSERS: usize = 16;
 /// Most pixels of a picture.
 const MAX_PIXELS: u64 = 64_000_000;
 /// The page: it requests the next frame when it has received the last.
 const PAGE: &str = include_str!("page.html");
+const PAGE_SCRIPT: &str = include_str!("page.js");
 
 type LatestJpeg = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
@@ -36,20 +37,9 @@ pub async fn serve(
 ) {
     let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
     let (want, wanted) = watch::channel(None);
-    let places = Arc::new(Semaphore::new(MAX_BROWSERS));
-    let answering = async {
-        loop {
-            let Ok((stream, _)) = listener.accept().await else { continue };
-            let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
-            let (newest, want) = (newest.clone(), want.clone());
-            tokio::spawn(async move {
-                // A browser that disconnects early is not an error.
-                let _ = tokio::time::timeout(TIMEOUT * 2, answer(stream, newest, want)).await.is_ok();
-                drop(place);
-            });
-        }
-    };
-    tokio::join!(pull(provider, remote, sender, wanted), answering);
+    let Ok(address) = listener.local_addr() else { return };
+    let server = Server::new(ImageSite { newest, want }, Admission::of(address));
+    tokio::join!(pull(provider, remote, sender, wanted), server.serve(listener, None));
 }
 
 /// Keeps the newest frame as a picture. It encodes a frame when a browser has received the last and requests another.
@@ -114,74 +104,42 @@ fn picture(frame: &RawFrame) -> Option<Vec<u8>> {
     jpeg(&RgbImage::from_rgb(width, height, data).ok()?).ok()
 }
 
-async fn answer(
-    mut stream: TcpStream,
-    mut newest: LatestJpeg,
+/// The newest frame as a picture, and where it is said that one is wanted.
+struct ImageSite {
+    newest: LatestJpeg,
     want: watch::Sender<Option<u64>>,
-) -> std::io::Result<()> {
-    let Some(path) = request(&mut stream).await? else {
-        return respond(&mut stream, "400 Bad Request", "text/plain", b"").await;
-    };
-    let (path, seen) = path.split_once('?').unwrap_or((&path, ""));
-    match path {
-        "/" => respond(&mut stream, "200 OK", "text/html; charset=utf-8", PAGE.as_bytes()).await,
-        "/frame" => {
+}
+
+impl Site for ImageSite {
+    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, Refusal> {
+        Ok(match request.uri().path() {
+            "/" => body(StatusCode::OK, HTML, Bytes::from_static(PAGE.as_bytes())),
+            "/page.js" => body(StatusCode::OK, SCRIPT, Bytes::from_static(PAGE_SCRIPT.as_bytes())),
             // The number of a page from an earlier run is not valid here: it has seen none of these frames.
-            let seen: u64 = seen.parse().unwrap_or(0);
-            let seen = if seen > newest.borrow().0 { 0 } else { seen };
-            want.send_modify(|wanted| *wanted = (*wanted).max(Some(seen)));
-            let next = newest.wait_for(|(count, _)| *count > seen);
-            let found = match tokio::time::timeout(TIMEOUT, next).await {
-                Ok(Ok(found)) => Ok(found.clone()),
-                Ok(Err(_)) => Err("410 Gone"),
-                Err(_) => Err("204 No Content"),
-            };
-            let (count, picture) = match found {
-                Ok(found) => found,
-                Err(status) => return respond(&mut stream, status, "text/plain", b"").await,
-            };
-            let kind = format!("image/jpeg\r\nX-Frame: {count}");
-            respond(&mut stream, "200 OK", &kind, &picture).await
-        }
-        _ => respond(&mut stream, "404 Not Found", "text/plain", b"").await,
+            "/frame" => {
+                self.frame(request.uri().query().and_then(|seen| seen.parse().ok()).unwrap_or(0)).await
+            }
+            _ => plain(StatusCode::NOT_FOUND, String::new()),
+        })
     }
 }
 
-/// The path of a `GET` request to this machine; `None` for anything else.
-async fn request(stream: &mut TcpStream) -> std::io::Result<Option<String>> {
-    let mut bytes = Vec::new();
-    let mut piece = [0; 1024];
-    while !bytes.windows(4).any(|end| end == b"\r\n\r\n") {
-        let read = stream.read(&mut piece).await?;
-        bytes.extend(&piece[..read]);
-        if read == 0 || bytes.len() > MAX_REQUEST {
-            return Ok(None);
-        }
+impl ImageSite {
+    /// The next frame after the one with this number.
+    async fn frame(&self, seen: u64) -> Response<Body> {
+        let mut newest = self.newest.clone();
+        let seen = if seen > newest.borrow().0 { 0 } else { seen };
+        self.want.send_modify(|wanted| *wanted = (*wanted).max(Some(seen)));
+        let next = newest.wait_for(|(count, _)| *count > seen);
+        let (count, picture) = match tokio::time::timeout(TIMEOUT, next).await {
+            Ok(Ok(found)) => found.clone(),
+            Ok(Err(_)) => return plain(StatusCode::GONE, String::new()),
+            Err(_) => return plain(StatusCode::NO_CONTENT, String::new()),
+        };
+        let mut answer = body(StatusCode::OK, "image/jpeg", Bytes::from(picture.to_vec()));
+        answer.headers_mut().insert("x-frame", HeaderValue::from(count));
+        answer
     }
-    Ok(path_of(&String::from_utf8_lossy(&bytes)))
-}
-
-/// Other sites must not read the pictures through the browser: the request must name this machine.
-fn path_of(request: &str) -> Option<String> {
-    let mut lines = request.split("\r\n");
-    let path = lines.next()?.strip_prefix("GET ")?.split(' ').next()?.to_owned();
-    let host = lines.find_map(|line| {
-        let (name, value) = line.split_once(':')?;
-        name.eq_ignore_ascii_case("host").then(|| value.trim().to_owned())
-    })?;
-    let name = host.rsplit_once(':').map_or(host.as_str(), |(name, _)| name);
-    matches!(name, "127.0.0.1" | "localhost").then_some(path)
-}
-
-async fn respond(stream: &mut TcpStream, status: &str, kind: &str, body: &[u8]) -> std::io::Result<()> {
-    let head = format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
-         Connection: close\r\n\r\n",
-        body.len()
-    );
-    stream.write_all(head.as_bytes()).await?;
-    stream.write_all(body).await?;
-    stream.shutdown().await
 }
 
 #[cfg(test)]
@@ -189,18 +147,6 @@ mod tests {
     use super::*;
     use armarium_visionx::files::decode_image;
     use armarium_visionx::providers::{PixelFormat, RawImage};
-
-    #[test]
-    fn only_requests_to_this_machine_are_answered() {
-        let request = |host: &str| format!("GET /frame?3 HTTP/1.1\r\nAccept: */*\r\nHost: {host}\r\n\r\n");
-        assert_eq!(path_of(&request("127.0.0.1:8080")).as_deref(), Some("/frame?3"));
-        assert_eq!(path_of(&request("localhost")).as_deref(), Some("/frame?3"));
-        for wrong in ["evil.example", "127.0.0.1.evil.example:80", ""] {
-            assert_eq!(path_of(&request(wrong)), None, "{wrong}");
-        }
-        assert_eq!(path_of("POST / HTTP/1.1\r\nHost: localhost\r\n\r\n"), None);
-        assert_eq!(path_of("GET / HTTP/1.1\r\n\r\n"), None);
-    }
 
     #[test]
     fn images_of_a_frame_stand_side_by_side_whatever_their_size() {

@@ -1,13 +1,13 @@
 //! The files of the page. They are part of the program: nothing is fetched from elsewhere.
 
+use crate::http::{HTML, SCRIPT};
+
 /// A file's path, media type and content.
 pub(super) type Asset = (&'static str, &'static str, &'static str);
 
-const SCRIPT: &str = "text/javascript; charset=utf-8";
-
 /// All files.
 pub(super) const ASSETS: [Asset; 10] = [
-    ("/compare", "text/html; charset=utf-8", include_str!("page/compare.html")),
+    ("/compare", HTML, include_str!("page/compare.html")),
     ("/compare.js", SCRIPT, include_str!("page/compare.js")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/app.js", SCRIPT, include_str!("page/app.js")),

@@ -11,7 +11,6 @@ mod address;
 mod assets;
 mod header;
 mod recording;
-mod requests;
 mod runs;
 mod server;
 mod shown;
@@ -21,9 +20,11 @@ mod track;
 use std::io;
 
 use futures::future::BoxFuture;
-use requests::Admission;
 use serde::Deserialize;
 use tokio::sync::oneshot;
+
+use crate::http::{Admission, Server, token};
+use server::RunSite;
 
 pub use address::{CertificateError, PageAddress};
 pub use header::{RunHeader, Solid, SolidForm, solids_of};
@@ -107,20 +108,22 @@ impl LivePage {
         let (admission, url) = match tls {
             None => (Admission::of(address), format!("http://{address}/{path}")),
             Some(_) => {
-                let token = server::token()?;
+                let token = token()?;
                 let url = format!("https://{address}/{path}?token={token}");
                 (Admission::invited(address, token), url)
             }
         };
+        let server = Server::new(RunSite { runs, token: token()? }, admission);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (ends, ended) = oneshot::channel();
         let serving = move || {
             runtime.block_on(async {
                 beside.into_iter().for_each(|task| _ = tokio::spawn(task));
+                let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
                 tokio::select! {
                     biased;
                     _ = ended => {}
-                    () = server::serve(listener, tls, admission, runs) => {}
+                    () = server.serve(listener, tls) => {}
                 }
             });
         };

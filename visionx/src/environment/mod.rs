@@ -134,7 +134,7 @@ impl EnvironmentModel {
             surface.look(|place| view.shows(place, &normal));
         }
         self.merge();
-        self.forget();
+        self.surfaces.retain(|surface| surface.probability() >= FORGOTTEN);
         true
     }
 
@@ -217,10 +217,6 @@ impl EnvironmentModel {
         }
     }
 
-    fn forget(&mut self) {
-        self.surfaces.retain(|surface| surface.probability() >= FORGOTTEN);
-    }
-
     /// What is known of each surface that is certain enough, or was before; one that is no longer there is told for two more seconds, with
     /// the probability 0.
     pub fn surfaces(&mut self) -> Vec<SurfaceEstimate> {
@@ -229,9 +225,7 @@ impl EnvironmentModel {
             self.told.insert(surface.name.clone(), (surface, now_ns));
         }
         self.told.retain(|_, (_, told_ns)| now_ns.saturating_sub(*told_ns) < GONE_NS);
-        let is_there =
-            |name: &str| self.surfaces.iter().any(|s| s.name.as_ref().is_some_and(|(_, own)| own == name));
-        let told = self.told.values().map(|(surface, _)| match is_there(&surface.name) {
+        let told = self.told.values().map(|(surface, _)| match self.has(&surface.name) {
             true => surface.clone(),
             false => SurfaceEstimate { probability: 0.0, ..surface.clone() },
         });
@@ -259,12 +253,14 @@ impl EnvironmentModel {
         estimates
     }
 
+    /// Whether a surface has this name.
+    fn has(&self, name: &str) -> bool {
+        self.surfaces.iter().any(|surface| surface.name.as_ref().is_some_and(|(_, own)| own == name))
+    }
+
     /// `class`, `class_2`, `class_3` ..., the first that no surface has now or had when it was told last.
     fn free_name(&self, class: &str) -> String {
-        let has =
-            |surface: &Surface, wanted: &str| surface.name.as_ref().is_some_and(|(_, name)| name == wanted);
-        let free =
-            |name: &String| !self.told.contains_key(name) && !self.surfaces.iter().any(|s| has(s, name));
+        let free = |name: &String| !self.told.contains_key(name) && !self.has(name);
         let numbered = (2..=2 * MAX_SURFACES + 1).map(|n| format!("{class}_{n}"));
         std::iter::once(class.to_owned()).chain(numbered).find(free).unwrap_or_else(|| class.to_owned())
     }
@@ -282,12 +278,7 @@ impl EnvironmentModel {
         }
         let others = self.surfaces.iter().enumerate().filter(|(j, other)| *j != i && other.normal().z > 0.5);
         let over = others.filter(|(_, other)| {
-            let over = |from: &Surface, to: &Surface| {
-                let mut places = from.places();
-                let count = from.places().count().max(1);
-                let step = count.div_ceil(40);
-                places.by_ref().step_by(step).filter(|place| to.reaches(place, 0)).count() * 2 * step > count
-            };
+            let over = |from: &Surface, to: &Surface| from.share(|place| to.reaches(place, 0)) > 0.5;
             over(&self.surfaces[i], other) || over(other, &self.surfaces[i])
         });
         let mut class = "table";
@@ -368,10 +359,7 @@ fn same_surface(a: &Surface, b: &Surface) -> bool {
         return false;
     }
     let lies_on = |of: &Surface, on: &Surface| {
-        let count = of.places().count();
-        let step = count.div_ceil(40).max(1);
-        let on_it = |place: &Point3<f64>| on.above(place).abs() < 2.0 * SAME.0 && on.reaches(place, SAME.2);
-        count > 0 && of.places().step_by(step).filter(on_it).count() * step * 10 > count
+        of.share(|place| on.above(place).abs() < 2.0 * SAME.0 && on.reaches(place, SAME.2)) > 0.1
     };
     lies_on(a, b) || lies_on(b, a)
 }

@@ -178,6 +178,13 @@ impl Surface {
         occupied.map(|(cell, _)| self.root_from_anchor * in_anchor(&self.plane, cell))
     }
 
+    /// The share of its places for which something holds, of some forty of them.
+    pub(super) fn share(&self, holds: impl Fn(&Point3<f64>) -> bool) -> f64 {
+        let count = self.places().count().max(1);
+        let step = count.div_ceil(40);
+        (self.places().step_by(step).filter(holds).count() * step) as f64 / count as f64
+    }
+
     /// Takes over the cells of another one, which is the same surface.
     pub(super) fn join(&mut self, other: &Self) {
         for place in other.places() {

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use nalgebra::{Translation3, UnitQuaternion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -17,7 +19,7 @@ fn frames(things: &[Thing], from: u64, count: u64) -> Vec<StereoFrame> {
     let noisy = |n: u64| {
         let mut rng = ChaCha8Rng::seed_from_u64(n);
         let mut frame = StereoFrame { stamp_ns: n * 66_000_000, ..still.clone() };
-        for z in frame.depth.as_mut().unwrap().data.iter_mut().filter(|z| **z > 0.0) {
+        for z in Arc::make_mut(frame.depth.as_mut().unwrap()).data.iter_mut().filter(|z| **z > 0.0) {
             *z += (0.0014 * f64::from(*z).powi(2) * rng.sample::<f64, _>(StandardNormal)) as f32;
         }
         frame

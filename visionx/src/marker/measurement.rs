@@ -66,7 +66,7 @@ pub(super) fn centroid(mask: &Mask, mut at: Point2<f64>, radius_px: f64) -> Opti
 fn disc_mean(mask: &Mask, at: &Point2<f64>, reach: f64) -> Option<Blob> {
     let region = mask.region();
     let (w, h) = (region.x + region.width, region.y + region.height);
-    let part = Region::spanning(at.x - reach, at.y - reach, at.x + reach, at.y + reach, w, h);
+    let part = Region::around([*at], reach, w, h);
     let narrow = NARROW * reach;
     let (mut n, mut sx, mut sy) = (0.0, 0.0, 0.0);
     for y in part.y.max(region.y)..part.y + part.height {
@@ -92,14 +92,7 @@ impl Counts {
     /// Sums over the square of half width `reach` px about `at`, clipped to the mask.
     pub(super) fn about(mask: &Mask, at: &Point2<f64>, reach: f64) -> Self {
         let whole = mask.region();
-        let region = Region::spanning(
-            at.x - reach,
-            at.y - reach,
-            at.x + reach,
-            at.y + reach,
-            whole.width,
-            whole.height,
-        );
+        let region = Region::around([*at], reach, whole.width, whole.height);
         let (w, h) = (region.width as usize, region.height as usize);
         let mut sums = vec![0; (w + 1) * (h + 1)];
         for y in 0..h {

@@ -94,21 +94,12 @@ impl ColorMarkerObjectTracking {
         }
     }
 
-    /// Processes a frame; returns the marker's state, `None` while it is not visible.
+    /// Processes a frame; returns the marker's state, `None` while it is not visible. Where it is expected at a `place` (left camera
+    /// frame, m), candidates of its colour are preferred by their distance to that place when a track begins.
     ///
     /// Images that do not have the calibration's size count as black. After half a second without a measurement
     /// the whole image is searched again.
-    pub fn update(&mut self, frame: &StereoFrame) -> Option<MarkerEstimate> {
-        self.update_near(frame, None)
-    }
-
-    /// As [`Self::update`], for a marker expected at `place` (left camera frame, m): when a track begins,
-    /// candidates of its colour are preferred by their distance to that place.
-    pub fn update_near(
-        &mut self,
-        frame: &StereoFrame,
-        place: Option<&Point3<f64>>,
-    ) -> Option<MarkerEstimate> {
+    pub fn update(&mut self, frame: &StereoFrame, place: Option<&Point3<f64>>) -> Option<MarkerEstimate> {
         if !self.calibration.fits(frame) {
             return None;
         }

@@ -34,7 +34,7 @@ fn follows_a_tool_past_a_thing_of_similar_colour() {
     for i in 0..30 {
         let other = ball(Point3::new(0.40, 0.53, 1.0), 0.033, [60, 175, 50]);
         let scene = [table(TABLE), ball(path(i), 0.03, GREEN), other];
-        let estimate = tracker.update(&frame(&scene, stamp(i), i)).unwrap();
+        let estimate = tracker.update(&frame(&scene, stamp(i), i), None).unwrap();
         let e = error(&estimate, &path(i));
         squares += e.component_mul(&e) / 30.0;
         assert!(estimate.visible > 0.9);
@@ -55,7 +55,7 @@ fn half_hidden_it_is_less_sure() {
             let screen = at + toward.normalize() * 0.06 + root_from_left() * Vector3::new(0.05, 0.0, 0.0);
             scene.push(ball(screen, 0.05, [120, 120, 120]));
         }
-        let estimate = tracker.update(&frame(&scene, stamp(i), i)).unwrap();
+        let estimate = tracker.update(&frame(&scene, stamp(i), i), None).unwrap();
         let e = error(&estimate, &at);
         if i <= 6 {
             before = estimate.covariance.trace();
@@ -76,7 +76,7 @@ fn a_lost_marker_is_found_again_elsewhere() {
         let at = if i < 5 { path(0) } else { Point3::new(0.1, 0.6, 1.0) };
         let hidden = (5..20).contains(&i);
         let scene = [table(TABLE), ball(at, 0.03, GREEN)];
-        let seen = tracker.update(&frame(if hidden { &nothing } else { &scene }, stamp(i), i));
+        let seen = tracker.update(&frame(if hidden { &nothing } else { &scene }, stamp(i), i), None);
         assert_eq!(seen.is_none(), hidden, "frame {i}");
         if let Some(estimate) = seen {
             assert!(error(&estimate, &at).norm() < 0.02, "frame {i}");
@@ -89,20 +89,20 @@ fn what_is_where_it_should_be_is_preferred() {
     let small = Point3::new(0.20, 0.50, 1.0);
     let scene = [table(TABLE), ball(small, 0.012, GREEN), ball(Point3::new(0.45, 0.60, 1.0), 0.05, GREEN)];
     let frame = frame(&scene, 0, 1);
-    let anywhere = tracker().update(&frame).unwrap();
+    let anywhere = tracker().update(&frame, None).unwrap();
     assert!(error(&anywhere, &small).norm() > 0.2);
     let place = root_from_left().inverse() * (small + Vector3::new(0.02, -0.02, 0.02));
-    let there = tracker().update_near(&frame, Some(&place)).unwrap();
+    let there = tracker().update(&frame, Some(&place)).unwrap();
     assert!(error(&there, &small).norm() < 0.01, "{there:?}");
     let elsewhere = root_from_left().inverse() * Point3::new(-0.2, 0.5, 1.0);
-    assert!(tracker().update_near(&frame, Some(&elsewhere)).is_some());
+    assert!(tracker().update(&frame, Some(&elsewhere)).is_some());
 }
 
 #[test]
 fn nothing_is_seen_where_nothing_is() {
     let mut tracker = tracker();
     for frame in empty_frames() {
-        assert_eq!(tracker.update(&frame), None);
+        assert_eq!(tracker.update(&frame, None), None);
     }
 }
 
@@ -110,7 +110,9 @@ fn nothing_is_seen_where_nothing_is() {
 fn the_same_seed_gives_the_same_track() {
     let run = || {
         let mut tracker = tracker();
-        (0..4).map(|i| tracker.update(&frame(&[ball(path(i), 0.03, GREEN)], stamp(i), i))).collect::<Vec<_>>()
+        (0..4)
+            .map(|i| tracker.update(&frame(&[ball(path(i), 0.03, GREEN)], stamp(i), i), None))
+            .collect::<Vec<_>>()
     };
     assert_eq!(run(), run());
 }

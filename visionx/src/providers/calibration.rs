@@ -96,9 +96,6 @@ impl From<Camera> for CameraModel {
 
 impl Calibration {
     /// Reads the calibration beside an image file; empty when there is no such file.
-    ///
-    /// # Errors
-    /// The calibration's path, and why it is not valid.
     pub(super) fn beside(image: &Path) -> Result<Self, (PathBuf, FileError)> {
         let path = image.with_file_name(CALIBRATION);
         if !path.exists() {

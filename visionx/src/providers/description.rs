@@ -213,9 +213,6 @@ impl ProviderDescription {
     }
 
     /// The cameras of the roles `left` and `right`, and their common image size.
-    ///
-    /// # Errors
-    /// What is missing.
     pub(super) fn eyes(&self) -> Result<((u32, u32), [CameraModel; 2]), NotStereo> {
         let eye = |role: &'static str| {
             let image = self.image(role).ok_or(NotStereo::NoImage(role))?;

@@ -80,9 +80,9 @@ fn stereo_frame(frame: &RawFrame, provider: &str) -> Result<StereoFrame, ImageEr
     };
     Ok(StereoFrame {
         stamp_ns: frame.stamp_ns,
-        left: eye("left")?,
-        right: eye("right")?,
-        depth: frame.image("depth").and_then(depth_of),
+        left: eye("left")?.into(),
+        right: eye("right")?.into(),
+        depth: frame.image("depth").and_then(depth_of).map(Arc::new),
         root_from_left: frame.root_from_camera.unwrap_or_else(Isometry3::identity),
     })
 }

@@ -114,7 +114,7 @@ impl StereoStep for SegmentationStep {
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         let usable = frame.depth.as_ref().and_then(|depth| self.camera.usable(depth));
         let Some(depth) = usable.filter(|_| self.look.is_none()) else { return Vec::new() };
-        self.pictures.push((depth.clone(), frame.left.clone()));
+        self.pictures.push((depth.clone(), RgbImage::clone(&frame.left)));
         if self.pictures.len() < PICTURES {
             return Vec::new();
         }

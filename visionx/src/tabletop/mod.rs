@@ -189,17 +189,13 @@ impl TabletopSegmentation {
         for (x, y) in pixels() {
             (0..3).for_each(|i| color[i] += u64::from(frame.left.pixel(x, y)[i]));
         }
-        let range = |values: &mut dyn Iterator<Item = u32>| {
-            values.fold((f64::MAX, 0.0), |(low, high), v| (f64::min(low, v.into()), f64::max(high, v.into())))
-        };
-        let (x0, x1) = range(&mut pixels().map(|p| p.0));
-        let (y0, y1) = range(&mut pixels().map(|p| p.1));
+        let corners = pixels().map(|(x, y)| Point2::new(x.into(), y.into()));
         Some(TableObject {
             root_from_object: plane.pose(&rectangle, height / 2.0),
             size: Vector3::new(rectangle.size[0], rectangle.size[1], height),
             covariance: Matrix3::from_diagonal_element(variance),
             color: color.map(|c| (c / thing.len() as u64) as u8),
-            bounding_box: Region::spanning(x0, y0, x1, y1, self.camera.width, self.camera.height),
+            bounding_box: Region::around(corners, 0.0, self.camera.width, self.camera.height),
         })
     }
 }

@@ -21,7 +21,7 @@ fn block(x: f64, y: f64, yaw: f64, size: [f64; 3], color: [u8; 3]) -> Thing {
 
 fn noisy(mut frame: StereoFrame, deviation: f64) -> StereoFrame {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let depth = frame.depth.as_mut().unwrap();
+    let depth = Arc::make_mut(frame.depth.as_mut().unwrap());
     for z in depth.data.iter_mut().filter(|z| **z > 0.0) {
         *z += (deviation * rng.sample::<f64, _>(StandardNormal)) as f32;
     }
@@ -78,7 +78,7 @@ fn what_the_picture_cuts_is_no_thing() {
 fn a_left_image_of_another_size_has_no_colours_and_ends_nothing() {
     let cup = block(0.05, 0.60, 0.0, [0.07, 0.07, 0.09], [200, 40, 40]);
     let mut frame = frame_with_depth(&[table([150, 115, 80]), cup], 0, 2);
-    frame.left = crate::frame::RgbImage::painted(1, 1, |_, _| [0; 3]);
+    frame.left = crate::frame::RgbImage::painted(1, 1, |_, _| [0; 3]).into();
     let seen = TabletopSegmentation::new(CALIBRATION.camera).segment(&frame).unwrap();
     assert_eq!(seen.objects.iter().map(|o| o.color).collect::<Vec<_>>(), [[0; 3]]);
 }
@@ -96,7 +96,7 @@ fn where_there_is_no_table_nothing_is_seen() {
     };
     assert_eq!(segmentation.segment(&frame_with_depth(&[wall], 0, 3)), None);
     let mut frame = frame_with_depth(&[table([150, 115, 80])], 0, 4);
-    let depth = frame.depth.as_mut().unwrap();
+    let depth = Arc::make_mut(frame.depth.as_mut().unwrap());
     depth.data.iter_mut().step_by(3).for_each(|z| *z = f32::NAN);
     depth.data.iter_mut().skip(1).step_by(3).for_each(|z| *z = -1.0);
     assert!(segmentation.segment(&frame).is_some_and(|seen| seen.objects.is_empty()));
@@ -105,7 +105,7 @@ fn where_there_is_no_table_nothing_is_seen() {
 }
 
 fn depth_of_another_size(frame: &mut StereoFrame) {
-    frame.depth.as_mut().unwrap().width = 3;
+    Arc::make_mut(frame.depth.as_mut().unwrap()).width = 3;
 }
 
 #[test]

@@ -69,10 +69,8 @@ impl AdaptiveHoughTransform {
         if edges.is_empty() || !(MIN_RADIUS..=200.0).contains(&radius) {
             return None;
         }
-        let fold = |f: fn(f64, f64) -> f64, of: fn(&Edge) -> f64, start| edges.iter().map(of).fold(start, f);
-        let (x0, y0) = (fold(f64::min, |e| e.at.x, f64::MAX), fold(f64::min, |e| e.at.y, f64::MAX));
-        let (x1, y1) = (fold(f64::max, |e| e.at.x, f64::MIN), fold(f64::max, |e| e.at.y, f64::MIN));
-        let region = Region::spanning(x0, y0, x1 + 1.0, y1 + 1.0, 1 << 15, 1 << 15);
+        let pixels = edges.iter().flat_map(|edge| [edge.at, edge.at + Vector2::repeat(1.0)]);
+        let region = Region::around(pixels, 0.0, 1 << 15, 1 << 15);
         if region.area() == 0 || region.area() > 1 << 24 {
             return None;
         }

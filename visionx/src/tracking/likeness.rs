@@ -4,6 +4,7 @@
 use nalgebra::Vector2;
 
 use super::lab::{LabImage, apart};
+use crate::distance::inside;
 use crate::mask::Mask;
 
 /// Distance from the outline at which colours inside and outside are compared, px.
@@ -18,64 +19,32 @@ const REDNESS: (f64, f64) = (0.20, 0.06);
 const YELLOWNESS: (f64, f64) = (0.24, 0.09);
 const HUE: (f64, f64) = (0.87, 0.28);
 
-/// The features of a region.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Likeness {
-    /// How well its outline lies on edges, 0 to 1.
-    pub(super) edge: f64,
-    /// Share of the image's border that it covers.
-    pub(super) border: f64,
-    /// Number of the image's corners that it covers.
-    pub(super) corners: usize,
-    /// Share of the image that it fills.
-    pub(super) share: f64,
-    /// Area of the largest disc inside, share of its own area.
-    pub(super) palm: f64,
-    /// Its mean colour.
-    pub(super) color: [f32; 3],
-    /// Radius of the largest disc inside, px.
-    pub(super) radius: f64,
-}
-
-impl Likeness {
-    /// Computes the features; `None` for an empty region.
-    pub(super) fn of(lab: &LabImage, thing: &Mask) -> Option<Self> {
-        let area = thing.count() as f64;
-        if area < 1.0 {
-            return None;
-        }
-        let (border, corners) = border(thing);
-        let radius = f64::from(crate::distance::inside(thing).into_iter().fold(0.0f32, f32::max));
-        let mut color = [0.0f32; 3];
-        for (c, _) in lab.data.iter().zip(thing.data()).filter(|(_, m)| **m != 0) {
-            (0..3).for_each(|i| color[i] += c[i] / area as f32);
-        }
-        Some(Self {
-            edge: edge(lab, thing),
-            border,
-            corners,
-            share: area / lab.data.len() as f64,
-            palm: std::f64::consts::PI * radius * radius / area,
-            color,
-            radius,
-        })
+/// The log-likelihood that a region is a hand, up to a constant; `None` for an empty one.
+pub(super) fn likeness(lab: &LabImage, thing: &Mask) -> Option<f64> {
+    let area = thing.count() as f64;
+    if area < 1.0 {
+        return None;
     }
-
-    /// The log-likelihood of a hand, up to a constant.
-    pub(super) fn score(&self) -> f64 {
-        let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
-        let size = off(self.share.ln(), (SHARE.0.ln(), SHARE.1));
-        let skin = unlike_skin(&self.color);
-        // A hand is a palm with fingers and perhaps an arm. Ragged or long regions are not hands.
-        let palm = off(self.palm.clamp(0.0, 1.0), (0.50, 0.17));
-        10.0 * self.edge
+    let (border, corners) = border(thing);
+    let radius = f64::from(inside(thing).into_iter().fold(0.0f32, f32::max));
+    let mut color = [0.0f32; 3];
+    for (c, _) in lab.data.iter().zip(thing.data()).filter(|(_, m)| **m != 0) {
+        (0..3).for_each(|i| color[i] += c[i] / area as f32);
+    }
+    let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
+    let size = off((area / lab.data.len() as f64).ln(), (SHARE.0.ln(), SHARE.1));
+    // A hand is a palm with fingers and perhaps an arm. Ragged or long regions are not hands.
+    let palm = std::f64::consts::PI * radius * radius / area;
+    let palm = off(palm.clamp(0.0, 1.0), (0.50, 0.17));
+    Some(
+        10.0 * edge(lab, thing)
             - 0.5 * size
-            - 0.5 * skin
+            - 0.5 * unlike_skin(&color)
             - 0.5 * palm
-            - 9.0 * (self.border - 0.10).max(0.0)
-            - 1.5 * self.corners.saturating_sub(1).min(1) as f64
-            - 4.0 * self.corners.saturating_sub(2) as f64
-    }
+            - 9.0 * (border - 0.10).max(0.0)
+            - 1.5 * corners.saturating_sub(1).min(1) as f64
+            - 4.0 * corners.saturating_sub(2) as f64,
+    )
 }
 
 /// The distance of a colour from skin colours, squared deviations.

@@ -86,8 +86,7 @@ fn widest(mask: &Mask) -> Option<(Point2<f64>, f64)> {
 /// The part of a mask within `reach` px of a point.
 fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
     let whole = mask.region();
-    let (from, to) = (middle - Vector2::repeat(reach), middle + Vector2::repeat(reach));
-    let region = Region::spanning(from.x, from.y, to.x, to.y, whole.width, whole.height);
+    let region = Region::around([*middle], reach, whole.width, whole.height);
     let is_near = |(x, y)| (Point2::new(f64::from(x), f64::from(y)) - middle).norm() <= reach;
     let bit = |(x, y)| is_near((x, y)) && mask.contains(i64::from(x), i64::from(y));
     Mask::of(region, region.pixels().map(bit))

@@ -9,7 +9,7 @@
 use nalgebra::Point2;
 
 use super::lab::LabImage;
-use crate::distance::inside;
+use crate::distance::{inside, steps_inside};
 use crate::mask::Mask;
 use crate::rectangle::Rectangle;
 
@@ -99,8 +99,8 @@ impl MaskedImage<'_> {
 
     /// Whether colours inside change as much as along an outline, or more than on skin.
     fn is_textured(&self, pixels: &[(i64, i64)], edge: &[(i64, i64)], radius: f64) -> bool {
-        let depth = self.depth();
-        let least = (DEEP * radius).floor().max(2.0) as u32;
+        let depth = steps_inside(self.mask);
+        let least = (DEEP * radius).floor().max(2.0) as u8;
         let deep: Vec<(i64, i64)> =
             pixels.iter().copied().filter(|(x, y)| depth[(y * self.width + x) as usize] > least).collect();
         let deep = if deep.len() < 20 { pixels } else { &deep[..] };
@@ -109,33 +109,6 @@ impl MaskedImage<'_> {
         };
         let within = mean(deep);
         within > TEXTURE || (!edge.is_empty() && within > BLURRED * mean(edge))
-    }
-
-    /// Distance to the outside of the region in steps of one pixel; the image's border does not count as
-    /// outside.
-    fn depth(&self) -> Vec<u32> {
-        let (w, h) = (self.width, self.height);
-        let far = u32::try_from(w + h).unwrap_or(u32::MAX);
-        let place = |x: i64, y: i64| (y * w + x) as usize;
-        let mut depth = vec![0; (w * h) as usize];
-        let relax = |x: i64, y: i64, from: [(i64, i64); 2], depth: &mut Vec<u32>| {
-            let is_in = |(x, y): &(i64, i64)| (0..w).contains(x) && (0..h).contains(y);
-            for (u, v) in from.into_iter().filter(is_in) {
-                depth[place(x, y)] = depth[place(x, y)].min(depth[place(u, v)] + 1);
-            }
-        };
-        for y in 0..h {
-            for x in 0..w {
-                depth[place(x, y)] = if self.mask.contains(x, y) { far } else { 0 };
-                relax(x, y, [(x - 1, y), (x, y - 1)], &mut depth);
-            }
-        }
-        for y in (0..h).rev() {
-            for x in (0..w).rev() {
-                relax(x, y, [(x + 1, y), (x, y + 1)], &mut depth);
-            }
-        }
-        depth
     }
 
     /// The change of colour per pixel in the smoothed image.

@@ -11,7 +11,7 @@
 
 use super::hypotheses::{hypotheses, parts};
 use super::lab::{LabImage, apart};
-use super::likeness::{Likeness, unlike_skin};
+use super::likeness::{likeness, unlike_skin};
 use super::mixture::Mixture;
 use super::photograph::measured;
 use super::refusal::is_other_object;
@@ -65,7 +65,7 @@ impl SkinSegmentation {
             .into_iter()
             .filter_map(|(thing, _)| {
                 let cut = (0..3).try_fold(thing, |thing, _| cut_out(&coarse, &thing))?;
-                let score = Likeness::of(&coarse, &cut)?.score() + finger_bonus(&cut);
+                let score = likeness(&coarse, &cut)? + finger_bonus(&cut);
                 Some((cut, score))
             })
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -105,7 +105,7 @@ fn finger_bonus(thing: &Mask) -> f64 {
 /// The best regions, best first, without near duplicates.
 fn ranked(lab: &LabImage, things: Vec<Mask>) -> Vec<(Mask, f64)> {
     let mut scored: Vec<(Mask, f64)> =
-        things.into_iter().filter_map(|t| Likeness::of(lab, &t).map(|l| (t, l.score()))).collect();
+        things.into_iter().filter_map(|t| likeness(lab, &t).map(|score| (t, score))).collect();
     scored.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut chosen: Vec<(Mask, f64)> = Vec::new();
     for candidate in scored {

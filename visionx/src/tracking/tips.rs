@@ -103,7 +103,7 @@ impl FingerTipTracking {
             self.filter.clear();
             (self.skin, self.last) = (None, None);
         }
-        match find(frame, frame.depth.as_ref(), &self.calibration, self.skin, true) {
+        match find(frame, frame.depth.as_deref(), &self.calibration, self.skin, true) {
             Some(hand) => self.seen(frame, &hand),
             None => self.unseen(frame),
         }

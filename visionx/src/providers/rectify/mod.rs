@@ -3,6 +3,8 @@
 //!
 //! This module does not calibrate; [`CameraModel`] describes the cameras.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 
 use crate::camera::{PinholeCamera, StereoCalibration};
@@ -83,9 +85,9 @@ impl Rectification {
         let [left, right] = &self.eyes;
         Some(StereoFrame {
             stamp_ns: frame.stamp_ns,
-            left: self.image(&frame.left, left)?,
-            right: self.image(&frame.right, right)?,
-            depth: frame.depth.as_ref().and_then(|depth| self.depth(depth)),
+            left: self.image(&frame.left, left)?.into(),
+            right: self.image(&frame.right, right)?.into(),
+            depth: frame.depth.as_ref().and_then(|depth| self.depth(depth)).map(Arc::new),
             root_from_left: frame.root_from_left * self.left_from_rectified,
         })
     }

@@ -70,7 +70,13 @@ fn see(eye: &CameraModel) -> (RgbImage, DepthImage) {
 fn seen() -> StereoFrame {
     let [left, right] = eyes();
     let ((left, depth), (right, _)) = (see(&left), see(&right));
-    StereoFrame { stamp_ns: 5, left, right, depth: Some(depth), root_from_left: Isometry3::identity() }
+    StereoFrame {
+        stamp_ns: 5,
+        left: left.into(),
+        right: right.into(),
+        depth: Some(Arc::new(depth)),
+        root_from_left: Isometry3::identity(),
+    }
 }
 
 #[test]
@@ -157,6 +163,6 @@ fn what_is_no_pair_is_refused() {
     let mut folded = right;
     folded.distortion = Distortion { k1: -80.0, ..Distortion::default() };
     assert!((0.06..0.065).contains(&reach(&folded)));
-    let frame = StereoFrame { left: RgbImage::painted(1, 1, |_, _| [0; 3]), ..seen() };
+    let frame = StereoFrame { left: RgbImage::painted(1, 1, |_, _| [0; 3]).into(), ..seen() };
     assert!(Rectification::new(&left, &right, SIZE).unwrap().rectify(&frame).is_none());
 }

@@ -97,11 +97,6 @@ impl Gesture {
             Self::PointTwo => "point_two",
         }
     }
-
-    /// The gesture with this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|g| g.name() == name)
-    }
 }
 
 impl fmt::Display for Gesture {

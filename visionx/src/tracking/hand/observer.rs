@@ -8,7 +8,7 @@ use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
 use crate::components::largest;
-use crate::frame::{DepthImage, StereoFrame};
+use crate::frame::StereoFrame;
 use crate::mask::Region;
 use crate::tracking::{GestureRecognizer, SeenFinger};
 
@@ -125,8 +125,9 @@ impl HandObserver {
             self.memory = None;
         }
         // A depth camera has no depth along the hand's outline.
-        let filled = frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0)).map(DepthImage::filled);
-        let depth = filled.as_ref().or(frame.depth.as_ref());
+        let filled =
+            frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0)).map(|depth| depth.filled());
+        let depth = filled.as_ref().or(frame.depth.as_deref());
         let skin = self.memory.as_ref().map(|m| m.skin);
         let hand = find(frame, depth, &self.calibration, skin, self.near)?;
         self.observe(frame, &hand)
@@ -274,6 +275,7 @@ mod tests {
         CALIBRATION, SKIN, TABLE, Thing, empty_frames, frame, frame_with_depth, hand, root_from_left, table,
     };
     use nalgebra::Isometry3;
+    use std::sync::Arc;
 
     const PLACE: Point3<f64> = Point3::new(0.02, -0.02, 0.7);
 
@@ -323,7 +325,7 @@ mod tests {
         let (width, height) = (flat.left.width(), flat.left.height());
         assert!(look(&flat).is_some());
         let data = vec![0.7; (width * height) as usize];
-        flat.depth = Some(DepthImage { width, height, data });
+        flat.depth = Some(Arc::new(DepthImage { width, height, data }));
         assert_eq!(look(&flat), None);
     }
 

@@ -8,6 +8,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::candidates::median;
 use crate::camera::PinholeCamera;
 use crate::frame::DepthImage;
 use crate::mask::{Mask, Region, beside};
@@ -43,7 +44,7 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option
         return None;
     }
     let coarse = Grid::sampled(depth);
-    let square = (SQUARE * camera.focal / f64::from(coarse.median())).min(LARGEST * h as f64);
+    let square = (SQUARE * camera.focal / median(coarse.data.clone())?).min(LARGEST * h as f64);
     let scenery = coarse.closed((square / STRIDE as f64).round().max(1.0) as usize | 1);
     let mut mask = Mask::empty(Region::whole(depth.width, depth.height));
     let mut behind = vec![0.0; w];
@@ -165,12 +166,6 @@ impl Grid {
         let sound = |z: &f32| if *z > 0.0 && *z < NOWHERE { *z } else { NOWHERE };
         let data = rows.flat_map(|row| row.iter().skip(STRIDE / 2).step_by(STRIDE).map(sound)).collect();
         Self { width: (w - STRIDE / 2).div_ceil(STRIDE), data }
-    }
-
-    fn median(&self) -> f32 {
-        let mut sorted = self.data.clone();
-        let middle = sorted.len() / 2;
-        *sorted.select_nth_unstable_by(middle, f32::total_cmp).1
     }
 
     /// The closing by a square of `window` cells. The square may extend beyond the border, where it ignores missing

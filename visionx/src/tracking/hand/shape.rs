@@ -7,7 +7,7 @@
 use nalgebra::{Point2, Vector2};
 
 use super::paths::along;
-use crate::components::{fill_holes, largest};
+use crate::components::{fill_holes, largest, root};
 use crate::distance::{inside, to_set};
 use crate::mask::{Mask, Region};
 use crate::tracking::SeenFinger;
@@ -178,7 +178,7 @@ fn flood(order: &[usize], from_core: &[f32], width: usize) -> Vec<Branch> {
                 .into_iter()
                 .chain([cell.wrapping_sub(1), cell + 1, cell + width - 1, cell + width, cell + width + 1])
                 .filter_map(|n| of.get(n).copied().filter(|&b| b != usize::MAX))
-                .map(|b| heir(&heirs, b))
+                .map(|b| root(&mut heirs, b))
                 .collect();
         touched.sort_unstable();
         touched.dedup();
@@ -209,13 +209,6 @@ fn flood(order: &[usize], from_core: &[f32], width: usize) -> Vec<Branch> {
         }
     }
     branches
-}
-
-fn heir(heirs: &[usize], mut branch: usize) -> usize {
-    while heirs[branch] != branch {
-        branch = heirs[branch];
-    }
-    branch
 }
 
 fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reach: f32) -> Finger {

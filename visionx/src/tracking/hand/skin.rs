@@ -5,6 +5,7 @@
 //! log-chromaticities, which shading by a white light does not change. A cluster that covers more area than a hand can
 //! is background; that decision needs the depth and is made by [`super::HandObserver`].
 
+use crate::components::root;
 use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
 
@@ -168,24 +169,19 @@ fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
     let is_valley = |valley: f32, top: f32| valley < 0.6 * top && top - valley > 3.0 * top.sqrt();
     let mut order: Vec<usize> = (0..counts.len()).filter(|&i| counts[i] > 0.0).collect();
     order.sort_by(|&a, &b| counts[b].total_cmp(&counts[a]).then(a.cmp(&b)));
-    // For each hill its peak, its pixels, and the hill that it was merged into.
-    let mut hills: Vec<(usize, f32, usize)> = Vec::new();
+    // For each hill its peak and its pixels, and the hill that it was merged into.
+    let (mut hills, mut owners): (Vec<(usize, f32)>, Vec<usize>) = (Vec::new(), Vec::new());
     let mut of = vec![usize::MAX; counts.len()];
-    let owner = |hills: &[(usize, f32, usize)], mut i: usize| {
-        while hills[i].2 != i {
-            i = hills[i].2;
-        }
-        i
-    };
     for bin in order {
         let mut touched: Vec<usize> =
-            neighbours(bin).filter(|&n| of[n] != usize::MAX).map(|n| owner(&hills, of[n])).collect();
+            neighbours(bin).filter(|&n| of[n] != usize::MAX).map(|n| root(&mut owners, of[n])).collect();
         touched.sort_unstable();
         touched.dedup();
         // The highest hill gets the bin, because hills are numbered from the highest.
         let Some(&first) = touched.first() else {
             of[bin] = hills.len();
-            hills.push((bin, counts[bin], hills.len()));
+            owners.push(hills.len());
+            hills.push((bin, counts[bin]));
             continue;
         };
         of[bin] = first;
@@ -193,19 +189,20 @@ fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
         for &other in &touched[1..] {
             if !is_valley(counts[bin], counts[hills[other].0]) || hills[other].1 < MIN_PIXELS {
                 hills[first].1 += hills[other].1;
-                hills[other].2 = first;
+                owners[other] = first;
             }
         }
     }
     let mut label_of = vec![0u8; hills.len()];
     let mut tops = Vec::new();
     for (i, hill) in hills.iter().enumerate() {
-        if hill.2 == i && hill.1 >= MIN_PIXELS && tops.len() < 250 {
+        if owners[i] == i && hill.1 >= MIN_PIXELS && tops.len() < 250 {
             tops.push(hill.0);
             label_of[i] = tops.len() as u8;
         }
     }
-    let labels = of.iter().map(|&o| if o == usize::MAX { 0 } else { label_of[owner(&hills, o)] }).collect();
+    let labels =
+        of.iter().map(|&o| if o == usize::MAX { 0 } else { label_of[root(&mut owners, o)] }).collect();
     (labels, tops)
 }
 

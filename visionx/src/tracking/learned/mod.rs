@@ -152,13 +152,7 @@ impl HandDetector for LearnedHandDetector {
 const FLESH: f64 = 0.22;
 
 fn bounds(hand: &HandLandmarks, palm_radius: f64, image: &RgbImage) -> Region {
-    let (mut low, mut high) = (hand.points[0], hand.points[0]);
-    for point in &hand.points {
-        (low, high) = (low.inf(point), high.sup(point));
-    }
-    let margin = Vector2::repeat(FLESH * palm_radius);
-    let (low, high) = (low - margin, high + margin);
-    Region::spanning(low.x, low.y, high.x, high.y, image.width(), image.height())
+    Region::around(hand.points.iter().copied(), FLESH * palm_radius, image.width(), image.height())
 }
 
 #[cfg(test)]

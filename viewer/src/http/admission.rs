@@ -11,12 +11,12 @@ use hyper::Uri;
 use hyper::header::{COOKIE, HOST, HeaderMap, ORIGIN};
 
 /// The header with the token of requests that act.
-pub(super) const TOKEN: &str = "x-armarium-token";
+pub(crate) const TOKEN: &str = "x-armarium-token";
 
 /// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum Refusal {
-    #[error("this page is at another address: open the one that `--live` has printed")]
+pub(crate) enum Refusal {
+    #[error("this page is at another address: open the one that was printed")]
     Host,
     #[error("only the page itself may ask")]
     Origin,
@@ -28,7 +28,7 @@ pub(super) enum Refusal {
 
 /// Who is answered.
 #[derive(Clone, Debug)]
-pub(super) enum Admission {
+pub(crate) enum Admission {
     /// Who asks by one of these names of this machine.
     ThisMachine(Vec<String>),
     /// Who has the token, as part of the address or as this cookie.
@@ -42,13 +42,13 @@ pub(super) enum Admission {
 
 impl Admission {
     /// That of a server at this address of this machine.
-    pub(super) fn of(address: SocketAddr) -> Self {
+    pub(crate) fn of(address: SocketAddr) -> Self {
         let port = address.port();
         Self::ThisMachine(vec![address.to_string(), format!("localhost:{port}"), format!("127.0.0.1:{port}")])
     }
 
     /// That of a server which others can reach.
-    pub(super) fn invited(address: SocketAddr, token: String) -> Self {
+    pub(crate) fn invited(address: SocketAddr, token: String) -> Self {
         Self::Invited { cookie: format!("armarium-{}", address.port()), token }
     }
 
@@ -56,7 +56,7 @@ impl Admission {
     ///
     /// # Errors
     /// [`Refusal`].
-    pub(super) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<Option<String>, Refusal> {
+    pub(crate) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<Option<String>, Refusal> {
         let text =
             |name| headers.get(name).map(|value: &hyper::header::HeaderValue| value.to_str().unwrap_or(""));
         let host = text(HOST).ok_or(Refusal::Host)?;
@@ -98,7 +98,7 @@ fn is_same(given: &[u8], token: &str) -> bool {
 ///
 /// # Errors
 /// [`Refusal::Token`].
-pub(super) fn check_token(headers: &HeaderMap, token: &str) -> Result<(), Refusal> {
+pub(crate) fn check_token(headers: &HeaderMap, token: &str) -> Result<(), Refusal> {
     let given = headers.get(TOKEN).map_or(&b""[..], hyper::header::HeaderValue::as_bytes);
     is_same(given, token).then_some(()).ok_or(Refusal::Token)
 }
