@@ -75,7 +75,7 @@ pub async fn serve_cameras(
             .and_then(|()| decode::<Scenery>(message.payload.as_ref()))
             .map_err(|e| e.to_string())
             .and_then(|scenery| cameras.draw(&scenery).map_err(|e| e.to_string()))
-            .and_then(|stereo| frame_of(&Arc::new(stereo), 0, &frame_id).map_err(|e| e.to_string()));
+            .and_then(|stereo| frame_of(&stereo, 0, &frame_id).map_err(|e| e.to_string()));
         match drawn {
             Ok(frame) => frames.send(frame),
             // Once per error: a run with another world sends it with each frame.

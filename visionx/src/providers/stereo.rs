@@ -9,7 +9,7 @@ use super::{
     ImageProvider, PixelFormat, PixelOwner, Pixels, ProviderDescription, RawFrame, RawImage, StereoPair,
 };
 use crate::camera::StereoCalibration;
-use crate::frame::{ImageError, StereoFrame};
+use crate::frame::{ImageError, SharedImage, StereoFrame};
 use crate::image_source::ImageSource;
 
 /// An [`ImageSource`] as a provider. Pixels are not copied; depth is.
@@ -25,15 +25,9 @@ pub struct StereoView {
     pair: StereoPair,
 }
 
-/// One image of a shared frame.
-struct Eye {
-    frame: Arc<StereoFrame>,
-    right: bool,
-}
-
-impl PixelOwner for Eye {
+impl PixelOwner for SharedImage {
     fn bytes(&self) -> &[u8] {
-        if self.right { self.frame.right.data() } else { self.frame.left.data() }
+        self.data()
     }
 }
 
@@ -62,15 +56,13 @@ impl ImageProvider for StereoProvider {
 ///
 /// # Errors
 /// [`ImageError::Size`] when an image is empty or larger than frames can be.
-pub fn frame_of(stereo: &Arc<StereoFrame>, number: u64, frame_id: &str) -> Result<RawFrame, ImageError> {
-    let eye = |role: &str, right: bool| {
-        let image = if right { &stereo.right } else { &stereo.left };
-        let owner: Arc<dyn PixelOwner> = Arc::new(Eye { frame: Arc::clone(stereo), right });
-        let pixels = Pixels::part(owner, 0, image.data().len());
+pub fn frame_of(stereo: &StereoFrame, number: u64, frame_id: &str) -> Result<RawFrame, ImageError> {
+    let eye = |role: &str, image: &SharedImage| {
+        let pixels = Pixels::part(Arc::new(image.clone()), 0, image.data().len());
         let pixels = pixels.expect("an image has its own bytes");
         RawImage::new(role, PixelFormat::Rgb8, (image.width(), image.height()), pixels)
     };
-    let mut images = vec![eye("left", false)?, eye("right", true)?];
+    let mut images = vec![eye("left", &stereo.left)?, eye("right", &stereo.right)?];
     if let Some(depth) = &stereo.depth {
         let bytes: Vec<u8> = depth.data.iter().flat_map(|z| z.to_le_bytes()).collect();
         images.push(RawImage::new("depth", PixelFormat::Depth32F, (depth.width, depth.height), bytes)?);
