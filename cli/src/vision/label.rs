@@ -5,7 +5,6 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use armarium_viewer::label_page::{self, ImageFile, ImagesToLabel};
-use armarium_visionx::RgbImage;
 use armarium_visionx::files::read_image;
 use armarium_visionx::providers::convert::jpeg;
 use armarium_visionx::tracking::{DetectorScore, HandLabels};
@@ -20,18 +19,13 @@ use crate::stopped::stopped;
 /// Most images of a recording that are kept to be labelled.
 const MOST: usize = 500;
 
-/// The labels in a file; none where there is no file.
 fn labels(file: &Path) -> Result<HandLabels, String> {
-    match std::fs::read_to_string(file) {
-        Ok(text) => HandLabels::read(&text).map_err(|error| format!("{}: {error}", file.display())),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(HandLabels::default()),
-        Err(error) => Err(format!("{}: {error}", file.display())),
-    }
+    HandLabels::load(file).map_err(|error| format!("{}: {error}", file.display()))
 }
 
 /// The images with their names, as JPEG files: those of a folder when they are asked for, those of a recording at once.
 fn images(args: &LabelArgs) -> Result<(Vec<String>, ImageFile), String> {
-    let sequence = Sequence::open(&args.folder, args.topic.as_deref())?;
+    let sequence = Sequence::open(&args.of.folder, args.of.topic.as_deref())?;
     let files: Vec<_> = sequence.files().iter().step_by(args.every.get()).cloned().collect();
     if !files.is_empty() {
         let names = files.iter().map(|file| file.display().to_string()).collect();
@@ -52,21 +46,16 @@ fn images(args: &LabelArgs) -> Result<(Vec<String>, ImageFile), String> {
 
 /// Serves the page until Ctrl-C. Returns 2 when the images or labels cannot be used.
 pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let prepared = labels(&args.labels).and_then(|labels| Ok((labels, images(args)?)));
+    let prepared = labels(&args.of.labels).and_then(|labels| Ok((labels, images(args)?)));
     let (labels, (names, image)) = match prepared {
         Ok(prepared) => prepared,
         Err(message) => return refuse(&message, err),
     };
     if names.is_empty() {
-        return refuse(&format!("{}: has no images", args.folder.display()), err);
+        return refuse(&format!("{}: has no images", args.of.folder.display()), err);
     }
-    let file = args.labels.clone();
-    let keep = move |labels: &HandLabels| {
-        // A file that is whole takes the place of the former one.
-        let beside = file.with_extension("unfinished");
-        std::fs::write(&beside, labels.write())?;
-        std::fs::rename(&beside, &file)
-    };
+    let file = args.of.labels.clone();
+    let keep = move |labels: &HandLabels| labels.save(&file);
     let count = names.len();
     let page = ImagesToLabel { names, labels, image, keep: Box::new(keep) };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -79,7 +68,7 @@ pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) 
         writeln!(
             out,
             "http://{address}/ shows {count} images; labels go to {}; Ctrl-C ends it",
-            args.labels.display()
+            args.of.labels.display()
         )?;
         out.flush()?;
         tokio::select! {
@@ -92,26 +81,19 @@ pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) 
 
 /// Lets detectors look at the labelled images, and prints how well they do. Returns 2 when images or labels cannot be used.
 pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let opened = labels(&args.labels)
-        .and_then(|labels| Ok((labels, Sequence::open(&args.folder, args.topic.as_deref())?)));
+    let opened = labels(&args.of.labels)
+        .and_then(|labels| Ok((labels, Sequence::open(&args.of.folder, args.of.topic.as_deref())?)));
     let (labels, sequence) = match opened {
         Ok(opened) => opened,
         Err(message) => return refuse(&message, err),
     };
-    let detectors = [Detector::Learned, Detector::Skin].map(|detector| {
-        let single = DetectorArgs { detector }.of_images(None);
-        (detector, single, DetectorScore::default())
-    });
-    let mut detectors = detectors.into_iter().collect::<Vec<_>>();
-    let mut look = |image: &RgbImage, label| {
-        detectors
-            .iter_mut()
-            .for_each(|(_, detector, score)| score.count(label, detector.find(image).as_ref()));
-    };
+    let mut detectors = [("learned", Detector::Learned), ("skin", Detector::Skin)]
+        .map(|(name, detector)| (name, DetectorArgs { detector }.of_images(None), DetectorScore::default()));
     let mut used = 0;
     let played = sequence.each(|(name, image)| {
         if let (Some(label), Ok(image)) = (labels.0.get(&name), image) {
-            look(&image, label.as_ref());
+            let each = detectors.iter_mut();
+            each.for_each(|(_, find, score)| score.count(label.as_ref(), find.find(&image).as_ref()));
             used += 1;
         }
         true
@@ -122,30 +104,21 @@ pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write, err: &mut dyn Write) 
     if used == 0 {
         let why =
             "no image has a label; `armarium vision label` with the same folder or recording makes them";
-        return refuse(&format!("{}: {why}", args.labels.display()), err);
+        return refuse(&format!("{}: {why}", args.of.labels.display()), err);
     }
-    let scores: BTreeMap<&str, &DetectorScore> =
-        detectors.iter().map(|(detector, _, score)| (detector.name(), score)).collect();
+    let scores: BTreeMap<_, _> = detectors.iter().map(|(name, _, score)| (*name, score)).collect();
     if args.json {
         json(&scores, out)?;
         return Ok(0);
     }
     writeln!(out, "{used} labelled images")?;
-    writeln!(
-        out,
-        "{:<10}{:>14}{:>14}{:>14}{:>16}{:>14}",
-        "", "hands found", "false hands", "gestures", "tips within 4 %", "median error"
-    )?;
-    let share = |part: usize, of: usize| format!("{part} of {of}");
     for (name, score) in scores {
-        let error = score.median_error().map_or("-".to_owned(), |error| format!("{:.1} %", 100.0 * error));
+        let error = score.median_error().map_or("none".to_owned(), |error| format!("{:.1} %", 100.0 * error));
+        let DetectorScore { hands, found, without, false_hands, gestures, right_gestures, .. } = score;
+        let (tips, near) = (score.fingertips, score.near_fingertips);
         writeln!(
             out,
-            "{name:<10}{:>14}{:>14}{:>14}{:>16}{error:>14}",
-            share(score.found, score.hands),
-            share(score.false_hands, score.without),
-            share(score.right_gestures, score.gestures),
-            share(score.near_fingertips, score.fingertips),
+            "{name}: {found} of {hands} hands, {false_hands} in {without} images without one; gestures {right_gestures} of {gestures}; {near} of {tips} fingertips within 4 %, median {error}"
         )?;
     }
     Ok(0)

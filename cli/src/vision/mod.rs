@@ -161,19 +161,26 @@ pub(crate) struct TrainArgs {
     pub(crate) simulated: Option<u64>,
 }
 
-/// The images to label.
+/// A sequence, and the labels of its images.
 #[derive(Clone, Debug, clap::Args)]
-pub(crate) struct LabelArgs {
-    /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images, of which 500 are shown at most.
+pub(crate) struct LabelledArgs {
+    /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
     #[arg(value_name = "FOLDER|RECORDING")]
     pub(crate) folder: PathBuf,
     /// The recording's topic; the first one with images if not given.
     #[arg(long, value_name = "TOPIC")]
     pub(crate) topic: Option<String>,
-    /// The file of labels, a line of JSON for each image; what it holds already is shown.
+    /// The file of labels, a line of JSON for each image.
     #[arg(long, value_name = "FILE", default_value = "labels.jsonl")]
     pub(crate) labels: PathBuf,
-    /// Only each N-th image.
+}
+
+/// The images to label.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct LabelArgs {
+    #[command(flatten)]
+    pub(crate) of: LabelledArgs,
+    /// Only each N-th image. Of a recording 500 are shown at most.
     #[arg(long, value_name = "N", default_value = "1")]
     pub(crate) every: NonZeroUsize,
     /// The page's port; any that is free if not given.
@@ -184,15 +191,8 @@ pub(crate) struct LabelArgs {
 /// Labelled images.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ScoreArgs {
-    /// The folder or the recording whose images are labelled.
-    #[arg(value_name = "FOLDER|RECORDING")]
-    pub(crate) folder: PathBuf,
-    /// The recording's topic; the first one with images if not given.
-    #[arg(long, value_name = "TOPIC")]
-    pub(crate) topic: Option<String>,
-    /// The file of labels.
-    #[arg(long, value_name = "FILE", default_value = "labels.jsonl")]
-    pub(crate) labels: PathBuf,
+    #[command(flatten)]
+    pub(crate) of: LabelledArgs,
     /// As JSON.
     #[arg(long)]
     pub(crate) json: bool,
@@ -210,16 +210,6 @@ pub(crate) struct FiguresArgs {
     /// Only the complete tracking, without the table of its parts.
     #[arg(long)]
     pub(crate) whole: bool,
-}
-
-impl Detector {
-    /// Its name on the command line.
-    fn name(self) -> &'static str {
-        match self {
-            Self::Learned => "learned",
-            Self::Skin => "skin",
-        }
-    }
 }
 
 impl DetectorArgs {

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::hypothesis::{Hypothesis, first_hypotheses};
 use super::motion::{Change, rigid};
-use super::top_view::{CELL, Known, Place, TopCell, TopView, middle_of};
+use super::top_view::{Known, Place, TopCell, TopView, middle_of};
 use super::{Appearance, PlannedPush, PushChoice, most_alike, told_apart};
 
 const RED: [f64; 3] = [190.0, 50.0, 45.0];

@@ -1,6 +1,8 @@
 //! What people say of hands in images, and how well a detector does on them.
 
 use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
 
 use nalgebra::{Point2, distance};
 use serde::{Deserialize, Serialize};
@@ -35,14 +37,20 @@ impl LabelledHand {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HandLabels(pub BTreeMap<String, Option<LabelledHand>>);
 
-/// A line that is no label.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}: {why}")]
-pub struct LabelError {
-    /// Counted from 1.
-    pub line: usize,
-    /// What is wrong.
-    pub why: String,
+/// Why there are no labels.
+#[derive(Debug, thiserror::Error)]
+pub enum LabelError {
+    /// A line that is no label.
+    #[error("line {line}: {why}")]
+    Line {
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong.
+        why: String,
+    },
+    /// The file cannot be read.
+    #[error(transparent)]
+    File(#[from] io::Error),
 }
 
 #[derive(Serialize, Deserialize)]
@@ -60,7 +68,7 @@ impl HandLabels {
     pub fn read(text: &str) -> Result<Self, LabelError> {
         let mut labels = BTreeMap::new();
         for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-            let wrong = |why: String| LabelError { line: i + 1, why };
+            let wrong = |why: String| LabelError::Line { line: i + 1, why };
             let Line { image, hand } =
                 serde_json::from_str(line).map_err(|error| wrong(error.to_string()))?;
             if hand.as_ref().is_some_and(|hand| !(hand.size() > 0.0 && hand.size().is_finite())) {
@@ -69,6 +77,27 @@ impl HandLabels {
             labels.insert(image, hand);
         }
         Ok(Self(labels))
+    }
+
+    /// Reads a file of labels; there are none where there is no file.
+    ///
+    /// # Errors
+    /// [`LabelError`].
+    pub fn load(file: &Path) -> Result<Self, LabelError> {
+        match std::fs::read_to_string(file) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
+            text => Self::read(&text?),
+        }
+    }
+
+    /// Writes a file of labels. It takes the place of the former one when it is whole.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn save(&self, file: &Path) -> io::Result<()> {
+        let beside = file.with_extension("unfinished");
+        std::fs::write(&beside, self.write())?;
+        std::fs::rename(&beside, file)
     }
 
     /// The file's text.
@@ -167,7 +196,12 @@ mod tests {
         let labels = HandLabels::read(text).unwrap();
         assert_eq!(labels.0["a"], None);
         assert_eq!(labels.0["b"].as_ref().unwrap().size(), 100.0);
-        assert_eq!(HandLabels::read(&labels.write()), Ok(labels));
+        assert_eq!(HandLabels::read(&labels.write()).unwrap(), labels);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("labels.jsonl");
+        assert_eq!(HandLabels::load(&file).unwrap(), HandLabels::default());
+        labels.save(&file).unwrap();
+        assert_eq!(HandLabels::load(&file).unwrap(), labels);
         for (text, what) in [
             ("{\"image\":\"a\",\"hand\":null}\n{", "line 2"),
             ("{\"image\":\"a\",\"hand\":{\"wrist\":[1,2],\"knuckle\":[1,2]}}", "same place"),
