@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
-use std::path::Path;
+use std::num::NonZeroUsize;
 
 use armarium_viewer::label_page::{self, ImageFile, ImagesToLabel};
 use armarium_visionx::files::read_image;
@@ -13,27 +13,27 @@ use tokio::net::TcpListener;
 use super::look::refuse;
 use super::report::json;
 use super::sequence::Sequence;
-use super::{Detector, DetectorArgs, LabelArgs, ScoreArgs};
+use super::{Detector, DetectorArgs, LabelArgs, LabelledArgs, ScoreArgs};
 use crate::stopped::stopped;
 
 /// Most images of a recording that are kept to be labelled.
 const MOST: usize = 500;
 
-fn labels(file: &Path) -> Result<HandLabels, String> {
-    HandLabels::load(file).map_err(|error| format!("{}: {error}", file.display()))
+fn open(of: &LabelledArgs) -> Result<(HandLabels, Sequence), String> {
+    let wrong = |error| format!("{}: {error}", of.labels.display());
+    Ok((HandLabels::load(&of.labels).map_err(wrong)?, Sequence::open(&of.folder, of.topic.as_deref())?))
 }
 
 /// The images with their names, as JPEG files: those of a folder when they are asked for, those of a recording at once.
-fn images(args: &LabelArgs) -> Result<(Vec<String>, ImageFile), String> {
-    let sequence = Sequence::open(&args.of.folder, args.of.topic.as_deref())?;
-    let files: Vec<_> = sequence.files().iter().step_by(args.every.get()).cloned().collect();
+fn images(sequence: &Sequence, every: NonZeroUsize) -> Result<(Vec<String>, ImageFile), String> {
+    let files: Vec<_> = sequence.files().iter().step_by(every.get()).cloned().collect();
     if !files.is_empty() {
         let names = files.iter().map(|file| file.display().to_string()).collect();
         return Ok((names, Box::new(move |n| jpeg(&read_image(files.get(n)?).ok()?).ok())));
     }
     let (mut names, mut kept, mut number) = (Vec::new(), Vec::new(), 0);
     sequence.each(|(name, image)| {
-        let coded = image.ok().filter(|_| number % args.every == 0).and_then(|image| jpeg(&image).ok());
+        let coded = image.ok().filter(|_| number % every == 0).and_then(|image| jpeg(&image).ok());
         number += 1;
         if let Some(coded) = coded {
             names.push(name);
@@ -46,7 +46,7 @@ fn images(args: &LabelArgs) -> Result<(Vec<String>, ImageFile), String> {
 
 /// Serves the page until Ctrl-C. Returns 2 when the images or labels cannot be used.
 pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let prepared = labels(&args.of.labels).and_then(|labels| Ok((labels, images(args)?)));
+    let prepared = open(&args.of).and_then(|(labels, of)| Ok((labels, images(&of, args.every)?)));
     let (labels, (names, image)) = match prepared {
         Ok(prepared) => prepared,
         Err(message) => return refuse(&message, err),
@@ -54,10 +54,9 @@ pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) 
     if names.is_empty() {
         return refuse(&format!("{}: has no images", args.of.folder.display()), err);
     }
-    let file = args.of.labels.clone();
-    let keep = move |labels: &HandLabels| labels.save(&file);
-    let count = names.len();
-    let page = ImagesToLabel { names, labels, image, keep: Box::new(keep) };
+    let (count, file) = (names.len(), args.of.labels.clone());
+    let keep = Box::new(move |labels: &HandLabels| labels.save(&file));
+    let page = ImagesToLabel { names, labels, image, keep };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let listener = match TcpListener::bind(("127.0.0.1", args.port)).await {
@@ -81,9 +80,7 @@ pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) 
 
 /// Lets detectors look at the labelled images, and prints how well they do. Returns 2 when images or labels cannot be used.
 pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let opened = labels(&args.of.labels)
-        .and_then(|labels| Ok((labels, Sequence::open(&args.of.folder, args.of.topic.as_deref())?)));
-    let (labels, sequence) = match opened {
+    let (labels, sequence) = match open(&args.of) {
         Ok(opened) => opened,
         Err(message) => return refuse(&message, err),
     };
