@@ -285,7 +285,7 @@ mod tests {
         /// Apart by the way that is said, and not by less; what is round is taken for 64 corners around it.
         #[test]
         fn bodies_beside_each_other_touch(
-            (w, d, angle, yaw) in (0.03..0.2f64, 0.03..0.2f64, 0.0..6.28f64, 0.0..360.0f64), round in any::<bool>(),
+            (w, d, angle, yaw) in (0.03..0.2f64, 0.03..0.2f64, 0.0..std::f64::consts::TAU, 0.0..360.0f64), round in any::<bool>(),
         ) {
             let still = BodySpec { size: [0.08, 0.05, 0.06], ..BodySpec::default() };
             let shape = if round { BodyShape::Cylinder } else { BodyShape::Box };
