@@ -181,7 +181,7 @@ proptest! {
     /// Of a plain thing as of one with two colours, by what is gone and what has come alone.
     #[test]
     fn the_motion_of_a_thing_is_found(
-        (angle, way, turn) in (0.0..6.28f64, 0.03..0.08f64, -0.6..0.6f64), plain in any::<bool>(), w in 0.055..0.09f64,
+        (angle, way, turn) in (0.0..std::f64::consts::TAU, 0.03..0.08f64, -0.6..0.6f64), plain in any::<bool>(), w in 0.055..0.09f64,
     ) {
         let colors = if plain { [RED; 2] } else { [RED, BLUE] };
         let thing = Thing { colors, ..Thing::new((0.2, 0.5, 0.3), [w, 0.06], RED) };
