@@ -24,7 +24,7 @@ struct Look {
     masks: Vec<Vec<PixelRun>>,
 }
 
-/// Tells apart what stands on a table, beginning with what was known of it before; depth and colour of [`PICTURES`] pictures are averaged.
+/// Tells apart what stands on a table, beginning with what was known of it before; depth and colour of five pictures are averaged.
 ///
 /// It observes `ObjectHypotheses`, once, each with `pose`, `size`, `color`, `points`, `mask`, `confirmed` and `pushes`.
 pub struct SegmentationStep {
