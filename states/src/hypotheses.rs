@@ -16,7 +16,7 @@ const HYPOTHESES: &str = "ObjectHypotheses";
 pub(crate) const LEARNED: &str = "learned";
 
 /// A hypothesis, with its address and what else memory says of it.
-pub(crate) struct KnownHypothesis {
+pub(crate) struct RememberedHypothesis {
     pub(crate) id: EntityId,
     pub(crate) hypothesis: Hypothesis,
     /// The pose of the middle of its box, root frame, and the edges of that, m.
@@ -26,46 +26,48 @@ pub(crate) struct KnownHypothesis {
     pub(crate) class: Option<String>,
     /// When it was seen, ns.
     pub(crate) seen_ns: u64,
+}
+
+impl RememberedHypothesis {
     /// The height of the table under it, root frame, m.
-    pub(crate) table: f64,
+    pub(crate) fn table(&self) -> f64 {
+        self.pose.translation.z - self.size[2] / 2.0
+    }
 }
 
 /// What this agent holds for things of their own.
-pub(crate) async fn hypotheses(equipment: &Equipment) -> Result<Vec<KnownHypothesis>, Failure> {
+pub(crate) async fn hypotheses(equipment: &Equipment) -> Result<Vec<RememberedHypothesis>, Failure> {
     let known = equipment.memory.segment(HYPOTHESES).await.map_err(failed)?;
     let own = known.iter().filter(|known| known.id.provider() == equipment.agent);
     Ok(own.filter_map(|known| read(equipment, known)).collect())
 }
 
-fn read(equipment: &Equipment, known: &Snapshot) -> Option<KnownHypothesis> {
+fn read(equipment: &Equipment, known: &Snapshot) -> Option<RememberedHypothesis> {
     let Value::Bytes(points) = known.attribute("points")? else { return None };
     let mut hypothesis = Hypothesis::unpacked(known.id.entity(), points);
     hypothesis.confirmed = matches!(known.attribute("confirmed")?, Value::Bool(true));
     hypothesis.pushes = known.attribute("pushes")?.as_f64()? as u32;
     let (pose, size) = (equipment.remembered().root_pose(known)?, known.attribute("size")?.as_vector3()?);
     let class = known.attribute("class").and_then(Value::as_str).map(str::to_owned);
-    let table = pose.translation.z - size[2] / 2.0;
-    Some(KnownHypothesis {
+    Some(RememberedHypothesis {
         id: known.id.clone(),
         hypothesis,
         pose,
         size,
         class,
         seen_ns: known.referenced_ns,
-        table,
     })
 }
 
-/// The largest number that a hypothesis of this agent has had in its name.
-pub(crate) fn newest(known: &[KnownHypothesis]) -> usize {
-    let number = |known: &KnownHypothesis| known.hypothesis.name.rsplit('_').next()?.parse().ok();
-    known.iter().filter_map(number).max().unwrap_or(0)
+/// The largest number at the end of a name, as in `thing_3`; 0 where there is none.
+pub(crate) fn newest<'n>(names: impl Iterator<Item = &'n str>) -> usize {
+    names.filter_map(|name| name.rsplit('_').next()?.parse().ok()).max().unwrap_or(0)
 }
 
 /// Writes what was told apart in a picture, in place of what was known before.
 pub(crate) async fn write(
     equipment: &Equipment,
-    before: &[KnownHypothesis],
+    before: &[RememberedHypothesis],
     seen: &[Observation],
     stamp_ns: u64,
 ) -> Result<(), Failure> {
@@ -86,7 +88,7 @@ pub(crate) async fn write(
 /// Writes of which learned class a hypothesis is.
 pub(crate) async fn name_class(
     equipment: &Equipment,
-    known: &KnownHypothesis,
+    known: &RememberedHypothesis,
     class: &str,
 ) -> Result<(), Failure> {
     let named = |now: Option<&Snapshot>| {

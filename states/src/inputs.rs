@@ -4,7 +4,7 @@ use armarium_memoryx::{EntityId, Pattern};
 use armarium_runtime::observed::MemoryPattern;
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::{Frame, Observation, Pose, Reference, Value};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
 use crate::motions::failed;
 
@@ -82,6 +82,17 @@ pub(crate) fn pattern_of(of: &MemoryPattern) -> Pattern {
 /// Three numbers as a vector.
 pub(crate) fn as_vector(value: &Value) -> Option<Vector3<f64>> {
     value.as_vector3().map(Vector3::from)
+}
+
+/// Two numbers as a point, such as of a table.
+pub(crate) fn as_flat_point(value: &Value) -> Option<Point2<f64>> {
+    let [x, y] = value.as_list()? else { return None };
+    Some(Point2::new(x.as_f64()?, y.as_f64()?))
+}
+
+/// A point as two numbers.
+pub(crate) fn flat_point_value(point: &Point2<f64>) -> Value {
+    Value::List(vec![Value::Float(point.x), Value::Float(point.y)])
 }
 
 /// Three numbers as a point.

@@ -55,7 +55,7 @@ pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
 pub use components::{Component, components};
 pub use counter::{Counter, Latency};
-pub use environment::{EnvironmentModel, SurfaceEstimate};
+pub use environment::{EnvironmentModel, EnvironmentStep, SurfaceEstimate};
 pub use epipolar::EpipolarCheck;
 pub use frame::{DepthImage, ImageError, RgbImage, SharedImage, StereoFrame};
 pub use image_source::ImageSource;
@@ -70,8 +70,6 @@ pub use processor::{
 };
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
-pub use steps::{
-    EnvironmentStep, FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep,
-};
+pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

@@ -9,7 +9,6 @@ use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
 
 use crate::annotate;
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::environment::{EnvironmentModel, SurfaceEstimate};
 use crate::frame::{ImageError, RgbImage, StereoFrame};
 use crate::localizer::{ObjectEstimate, ObjectLocalizer};
 use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
@@ -25,7 +24,7 @@ const CAMERA: &str = "camera";
 /// about 1 cm.
 const PALM: f64 = 1e-4;
 /// Variance of the middle of a table's visible part along each axis, m².
-const TABLE: f64 = 1e-4;
+pub(crate) const TABLE: f64 = 1e-4;
 /// Confidence of an object on a table after one observation.
 const THING: f64 = 0.8;
 /// Class of the objects on a table of which nothing else is known.
@@ -33,7 +32,7 @@ const THING_CLASS: &str = "thing";
 /// Core segments.
 const OBJECTS: &str = "ObjectInstances";
 const HANDS: &str = "HumanHands";
-const ENVIRONMENT: &str = "EnvironmentModels";
+pub(crate) const ENVIRONMENT: &str = "EnvironmentModels";
 
 /// A processor of one provider of stereo pairs. A new one is a type with this trait, in any crate: see `examples/brightest.rs`.
 pub trait StereoStep: Send {
@@ -200,7 +199,7 @@ fn vector(v: Vector3<f64>) -> Value {
 }
 
 /// What has a pose in the root frame, where its place has this covariance, m².
-fn posed(
+pub(crate) fn posed(
     (segment, class): (&str, &str),
     stamp_ns: u64,
     pose: &Isometry3<f64>,
@@ -442,67 +441,6 @@ impl StereoStep for TabletopStep {
         let objects = self.last.iter().flat_map(|seen| &seen.objects);
         objects.for_each(|object| annotate::region(image, &object.bounding_box, [255, 0, 255]));
     }
-}
-
-/// Tables, shelves, walls and the floor, fused over time, as `EnvironmentModels`. A surface that is no longer there is told for some
-/// time more, with the confidence 0.
-pub struct EnvironmentStep {
-    model: EnvironmentModel,
-    camera: PinholeCamera,
-    root_from_left: Isometry3<f64>,
-    last: Vec<SurfaceEstimate>,
-}
-
-impl EnvironmentStep {
-    /// The step around a model, for frames of this camera.
-    pub fn new(model: EnvironmentModel, camera: PinholeCamera) -> Self {
-        Self { model, camera, root_from_left: Isometry3::identity(), last: Vec::new() }
-    }
-}
-
-impl StereoStep for EnvironmentStep {
-    fn name(&self) -> &str {
-        "environment"
-    }
-
-    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
-        TabletopSegmentation::new(self.camera).missing_input(frame)
-    }
-
-    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
-        self.root_from_left = frame.root_from_left;
-        self.model.update(frame);
-        self.last = self.model.surfaces();
-        self.last.iter().map(|surface| surface_seen(surface, frame.stamp_ns)).collect()
-    }
-
-    fn draw(&self, image: &mut RgbImage) {
-        for surface in self.last.iter().filter(|surface| surface.probability > 0.5) {
-            let half = surface.size.map(|edge| edge / 2.0);
-            let corner = |[x, y]: [f64; 2]| {
-                let at = Point3::new(x * half[0], y * half[1], 0.0);
-                let in_left = self.root_from_left.inverse() * surface.root_from_surface * at;
-                self.camera.project(&in_left).filter(|_| in_left.z > 0.1)
-            };
-            let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(corner);
-            let corners: Option<Vec<_>> = corners.into_iter().collect();
-            annotate::polygon(image, &corners.unwrap_or_default(), [0, 255, 255]);
-        }
-    }
-}
-
-fn surface_seen(surface: &SurfaceEstimate, stamp_ns: u64) -> Observation {
-    let pose = &surface.root_from_surface;
-    // Along the surface its middle is as certain as its extent.
-    let axes = pose.rotation.to_rotation_matrix();
-    let spread = Vector3::new(TABLE, TABLE, surface.covariance[(0, 0)].max(1e-9));
-    let covariance = axes * Matrix3::from_diagonal(&spread) * axes.transpose();
-    let covariance = (covariance + covariance.transpose()) * 0.5;
-    posed((ENVIRONMENT, surface.class), stamp_ns, pose, &covariance)
-        .named(&surface.name)
-        .with_confidence(surface.probability)
-        .with("size", [surface.size[0], surface.size[1], 0.0])
-        .with("plane_covariance", surface.covariance.transpose().as_slice().to_vec())
 }
 
 fn table_seen(table: &TableEstimate, stamp_ns: u64) -> Observation {

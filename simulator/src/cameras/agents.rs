@@ -9,7 +9,7 @@ use nalgebra::Isometry3;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::{PairOfRenderings, SimulatedCameras, StereoRig};
+use super::{SimulatedCameras, StereoRendering, StereoRig};
 use crate::render::{ExposureMotion, SensorNoise, ShadowedScene};
 use crate::world::{AgentSpec, CameraSpec};
 
@@ -70,7 +70,7 @@ impl AgentEyes {
     /// Draws a frame of a scene and publishes it.
     pub(crate) fn draw(&mut self, scene: &Arc<ShadowedScene>, exposed_ns: u64) {
         let eyes = self.rig.left_and_right((self.scene_from_left, ExposureMotion::default()));
-        let frame = self.rig.sensed(PairOfRenderings::of(scene, eyes), exposed_ns, self.agent_from_left);
+        let frame = self.rig.sensed(StereoRendering::of(scene, eyes), exposed_ns, self.agent_from_left);
         self.rig.send(exposed_ns, frame);
         self.deliver(exposed_ns);
     }

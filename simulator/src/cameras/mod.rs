@@ -228,13 +228,8 @@ impl StereoRig {
     }
 
     /// The frame of what was drawn, with the sensors' errors.
-    fn sensed(
-        &self,
-        drawn: PairOfRenderings,
-        exposed_ns: u64,
-        root_from_left: Isometry3<f64>,
-    ) -> StereoFrame {
-        let PairOfRenderings { left: Rendering { image: mut left, depth }, scene, right } = drawn;
+    fn sensed(&self, drawn: StereoRendering, exposed_ns: u64, root_from_left: Isometry3<f64>) -> StereoFrame {
+        let StereoRendering { left: Rendering { image: mut left, depth }, scene, right } = drawn;
         self.noise.apply(&mut left, self.next_frame, 0);
         let (noise, number) = (self.noise.clone(), self.next_frame);
         let PinholeCamera { width, height, focal, .. } = self.source.calibration.camera;
@@ -249,13 +244,13 @@ impl StereoRig {
 }
 
 /// What the left eye sees, without noise, and what the right one will see when somebody looks at it.
-pub(crate) struct PairOfRenderings {
+pub(crate) struct StereoRendering {
     left: Rendering,
     scene: Arc<ShadowedScene>,
     right: Viewpoint,
 }
 
-impl PairOfRenderings {
+impl StereoRendering {
     fn of(scene: &Arc<ShadowedScene>, [left, right]: [Viewpoint; 2]) -> Self {
         Self { left: scene.render(&left), scene: Arc::clone(scene), right }
     }
@@ -355,12 +350,12 @@ impl Eyes {
         drawing: &Drawing,
         scene: &Arc<ShadowedScene>,
         view: &SceneState<'_>,
-    ) -> (PairOfRenderings, FrameTruth) {
+    ) -> (StereoRendering, FrameTruth) {
         let [before, true_left] =
             drawing.links(self.robot, self.left).map(|left| left * self.believed_from_true);
         let motion = ExposureMotion::between(&before, &true_left, drawing.exposure());
         let [left, right] = self.rig.left_and_right((true_left, motion));
-        let drawn = PairOfRenderings::of(scene, [left, right]);
+        let drawn = StereoRendering::of(scene, [left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
             let alone = VisibleScene::new(skin(&hand));
             let in_one = |eye, depth| whole(&hand, eye, depth, &depth_of_shapes(&alone, eye));
@@ -377,7 +372,7 @@ impl Eyes {
     }
 
     /// Adds the sensors' noise and faults.
-    fn sensed(&mut self, view: &SceneState<'_>, drawn: PairOfRenderings) -> StereoFrame {
+    fn sensed(&mut self, view: &SceneState<'_>, drawn: StereoRendering) -> StereoFrame {
         self.belief.update(view.robots[self.robot].sensed);
         let root_from_left =
             self.left.map_or_else(|| Translation3::from(NO_CAMERA).into(), |left| *self.belief.pose(left));

@@ -8,7 +8,8 @@ use nalgebra::{Point2, Vector2, Vector3};
 use crate::arm::{chosen, names_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::grasp::hand;
-use crate::hypotheses::hypotheses;
+use crate::hypotheses::{RememberedHypothesis, hypotheses};
+use crate::inputs::{as_flat_point, flat_point_value};
 
 /// The outcome when no push would tell anything.
 const SETTLED: &str = "settled";
@@ -49,20 +50,16 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let known = hypotheses(&equipment).await?;
     let all: Vec<Hypothesis> = known.iter().map(|known| known.hypothesis.clone()).collect();
     let Some(push) = choice.best(&all) else { return Ok(Outcome::named(SETTLED)) };
-    let table = known.iter().find(|known| known.hypothesis.name == push.of).map_or(0.0, |known| known.table);
-    let numbers = |at: Point2<f64>| Value::List(vec![Value::Float(at.x), Value::Float(at.y)]);
+    let table =
+        known.iter().find(|known| known.hypothesis.name == push.of).map_or(0.0, RememberedHypothesis::table);
     Ok(Outcome::success()
         .with("of", push.of.as_str())
-        .with("from", numbers(push.from))
-        .with("to", numbers(push.to))
+        .with("from", flat_point_value(&push.from))
+        .with("to", flat_point_value(&push.to))
         .with("table", table))
 }
 
 fn corners(value: &Value) -> Option<[Point2<f64>; 2]> {
     let [a, b] = value.as_list()? else { return None };
-    let corner = |value: &Value| {
-        let [x, y] = value.as_list()? else { return None };
-        Some(Point2::new(x.as_f64()?, y.as_f64()?))
-    };
-    Some([corner(a)?, corner(b)?])
+    Some([as_flat_point(a)?, as_flat_point(b)?])
 }

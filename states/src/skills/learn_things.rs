@@ -6,7 +6,7 @@ use armarium_values::{Type, Value};
 use armarium_visionx::segmentation::Appearance;
 
 use crate::equipment::{self, Equipment};
-use crate::hypotheses::{LEARNED, hypotheses, learned, name_class};
+use crate::hypotheses::{LEARNED, hypotheses, learned, name_class, newest};
 use crate::motions::failed;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
@@ -19,16 +19,15 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 }
 
 async fn run(equipment: Equipment, _: SkillContext) -> SkillResult {
-    let number = |name: &str| name.rsplit('_').next().and_then(|number| number.parse::<usize>().ok());
     let before = learned(&equipment).await?;
-    let mut newest = before.iter().filter_map(|(name, _)| number(name)).max().unwrap_or(0);
+    let mut number = newest(before.iter().map(|(name, _)| name.as_str()));
     let mut names = Vec::new();
     for known in hypotheses(&equipment).await? {
         if !known.hypothesis.confirmed || known.class.is_some() {
             continue;
         }
-        newest += 1;
-        let name = format!("learned_{newest}");
+        number += 1;
+        let name = format!("learned_{number}");
         let mut class = ObjectClass::new(&name, known.hypothesis.color(), known.size);
         class.description = "learned by pushing".into();
         let mut attributes = class.attributes();

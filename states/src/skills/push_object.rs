@@ -5,12 +5,13 @@
 
 use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Vector2, Vector3};
 
 use crate::arm::{LeasedArm, Senses, chosen, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, held_in_tcp};
+use crate::inputs::as_flat_point;
 use crate::motions::failed;
 
 /// Height of the middle of the grasp over the table during the push, and of the hand on its ways, m.
@@ -43,7 +44,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let place = |name: &str| {
         let value = context.value(name)?;
-        point(value).ok_or_else(|| Failure::input(name, "two numbers", value))
+        let point = as_flat_point(value).map(|point| point.coords);
+        point.ok_or_else(|| Failure::input(name, "two numbers", value))
     };
     let (from, to, table) = (place("from")?, place("to")?, context.number("table")?);
     let limb = chosen(&equipment, &context)?.clone();
@@ -115,9 +117,4 @@ fn near(off: f64) -> Result<(), Failure> {
             off * 1e3
         ))),
     }
-}
-
-fn point(value: &Value) -> Option<Vector2<f64>> {
-    let [x, y] = value.as_list()? else { return None };
-    Some(Vector2::new(x.as_f64()?, y.as_f64()?))
 }

@@ -29,8 +29,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         true => Vec::new(),
         false => before.iter().map(|known| known.hypothesis.clone()).collect(),
     };
+    let names = before.iter().map(|known| known.hypothesis.name.as_str());
     let camera = equipment.images.calibration().camera;
-    let step = SegmentationStep::new(camera).remembering(known, pushed, newest(&before));
+    let step = SegmentationStep::new(camera).remembering(known, pushed, newest(names));
     let (seen, stamp_ns) = look(&equipment, &context, step).await?;
     write(&equipment, &before, &seen, stamp_ns).await?;
     Ok(Outcome::success().with("things", seen.len() as i64))

@@ -5,6 +5,7 @@
 //! of where the camera was, of its extent cell by cell. A place of a surface behind which something is measured speaks against it,
 //! so that what was taken away fades. It knows no memory: whoever runs it tells it what is remembered, and keeps what it tells.
 
+mod step;
 mod surface;
 
 use std::collections::BTreeMap;
@@ -15,6 +16,7 @@ use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
 use crate::plane::{Plane, towards, upwards};
 use crate::points::{DepthPoint, DepthPoints, uncertainty};
+pub use step::EnvironmentStep;
 use surface::{CELL, Look, Surface};
 
 /// Every so many pixels the depth is sampled, and up to which depth, m.

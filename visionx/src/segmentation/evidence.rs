@@ -7,7 +7,7 @@ use nalgebra::Isometry2;
 use super::hypothesis::{Hypothesis, LEAST, of_rest, patches, spread};
 use super::labels::{STAYED, labels};
 use super::motion::Change;
-use super::top_view::{Known, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
+use super::top_view::{Occupancy, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
 
 /// Fewer changed cells are noise.
 const CHANGED: usize = 20;
@@ -68,10 +68,10 @@ fn remembered(known: &[Hypothesis], after: &TopView) -> TopView {
     let (low, high) = ((x.0 - MARGIN, y.0 - MARGIN), (x.1 + MARGIN, y.1 + MARGIN));
     let mut view = TopView::unknown(low, high);
     for place in (low.1..=high.1).flat_map(|y| (low.0..=high.0).map(move |x| (x, y))) {
-        view.set(place, Known::Free);
+        view.set(place, Occupancy::Free);
     }
     for (place, top) in known.iter().flat_map(|hypothesis| &hypothesis.cells) {
-        view.set(*place, Known::Occupied(*top));
+        view.set(*place, Occupancy::Occupied(*top));
     }
     view
 }

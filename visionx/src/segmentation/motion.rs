@@ -5,7 +5,7 @@
 
 use nalgebra::{Isometry2, Point2, Vector2};
 
-use super::top_view::{CELL, Known, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
+use super::top_view::{CELL, Occupancy, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
 
 /// Largest turn and shift that are looked for, rad and m, and their steps.
 const TURNS: (f64, f64) = (1.0, 0.1);
@@ -49,8 +49,8 @@ impl<'v> Change<'v> {
     pub(super) fn between(before: &'v TopView, after: &'v TopView) -> Self {
         let differs = |of: &TopView, from: &TopView| -> Vec<Feature> {
             let surfaces = of.occupied().filter(|(place, top)| of.is_surface(*place, top));
-            let differing =
-                surfaces.filter(|(place, top)| !from.shows(*place, top) && from.at(*place) != Known::Unknown);
+            let differing = surfaces
+                .filter(|(place, top)| !from.shows(*place, top) && from.at(*place) != Occupancy::Unknown);
             differing.map(|(place, top)| Feature { place, top, edge: of.is_edge(place, &top) }).collect()
         };
         Self { before, after, gone: differs(before, after), come: differs(after, before) }
@@ -173,7 +173,7 @@ fn agreement(view: &TopView, motion: &Isometry2<f64>, feature: &Feature) -> f64 
         let ends = |place| view.top(place).is_some_and(|top| view.is_edge(place, &top));
         return if around(place, 1).any(ends) { EDGE } else { 0.0 };
     }
-    if view.at(place) == Known::Unknown { 0.0 } else { -1.0 }
+    if view.at(place) == Occupancy::Unknown { 0.0 } else { -1.0 }
 }
 
 /// The closest cell that is like a feature, around a point: its distance with that of height and colour, m, and its middle.

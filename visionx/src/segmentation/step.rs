@@ -18,8 +18,8 @@ const HYPOTHESES: &str = "ObjectHypotheses";
 /// How many pictures are averaged; a depth that is missing in more than half of them is not known.
 const PICTURES: usize = 5;
 
-/// What was told apart in a look.
-struct Look {
+/// What was told apart, and the pixels that show it.
+struct SegmentedPicture {
     known: Vec<Hypothesis>,
     masks: Vec<Vec<PixelRun>>,
 }
@@ -34,7 +34,7 @@ pub struct SegmentationStep {
     /// The number in the name of the newest hypothesis.
     newest: usize,
     pictures: Vec<(DepthImage, RgbImage)>,
-    look: Option<Look>,
+    look: Option<SegmentedPicture>,
 }
 
 impl SegmentationStep {
@@ -61,7 +61,7 @@ impl SegmentationStep {
         let seen =
             known.iter().zip(&masks).filter_map(|(h, mask)| observation(h, mask, &plane, frame.stamp_ns));
         let seen = seen.collect();
-        self.look = Some(Look { known, masks });
+        self.look = Some(SegmentedPicture { known, masks });
         Some(seen)
     }
 }

@@ -8,7 +8,7 @@ use proptest::test_runner::RngSeed;
 
 use super::hypothesis::{Hypothesis, first_hypotheses};
 use super::motion::{Change, rigid};
-use super::top_view::{Known, Place, TopCell, TopView, middle_of};
+use super::top_view::{Occupancy, Place, TopCell, TopView, middle_of};
 use super::{Appearance, PlannedPush, PushChoice, most_alike, told_apart};
 
 const RED: [f64; 3] = [190.0, 50.0, 45.0];
@@ -54,7 +54,7 @@ fn table(things: &[Thing]) -> TopView {
     let mut view = TopView::unknown((-25, 75), (124, 174));
     for place in places() {
         let top = things.iter().find_map(|thing| thing.top(place));
-        view.set(place, top.map_or(Known::Free, Known::Occupied));
+        view.set(place, top.map_or(Occupancy::Free, Occupancy::Occupied));
     }
     view
 }

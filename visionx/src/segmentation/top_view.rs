@@ -44,9 +44,9 @@ impl TopCell {
     }
 }
 
-/// What is known of a cell.
+/// What a cell holds, as far as it was seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) enum Known {
+pub(super) enum Occupancy {
     /// Nothing was seen in it.
     #[default]
     Unknown,
@@ -61,7 +61,7 @@ pub(super) enum Known {
 pub struct TopView {
     low: Place,
     size: Place,
-    cells: Vec<Known>,
+    cells: Vec<Occupancy>,
 }
 
 /// The cell of a place, root frame, m.
@@ -88,7 +88,7 @@ impl TopView {
     /// A view without anything between two corners, inclusive.
     pub(super) fn unknown(low: Place, high: Place) -> Self {
         let size = ((high.0 - low.0 + 1).clamp(0, MOST), (high.1 - low.1 + 1).clamp(0, MOST));
-        Self { low, size, cells: vec![Known::Unknown; (size.0 * size.1) as usize] }
+        Self { low, size, cells: vec![Occupancy::Unknown; (size.0 * size.1) as usize] }
     }
 
     /// The view of a table, by what its pictures show; `None` where there is no table. Also its plane.
@@ -146,7 +146,7 @@ impl TopView {
         }
         for (cell, (n, height, color)) in view.cells.iter_mut().zip(sums).filter(|(_, (n, ..))| *n > 0.0) {
             let top = TopCell { height: height / n, color: color / n };
-            *cell = if top.height > RISES.0 { Known::Occupied(top) } else { Known::Free };
+            *cell = if top.height > RISES.0 { Occupancy::Occupied(top) } else { Occupancy::Free };
         }
         view
     }
@@ -158,12 +158,12 @@ impl TopView {
     }
 
     /// What is known of a cell.
-    pub(super) fn at(&self, place: Place) -> Known {
-        self.index(place).map_or(Known::Unknown, |i| self.cells[i])
+    pub(super) fn at(&self, place: Place) -> Occupancy {
+        self.index(place).map_or(Occupancy::Unknown, |i| self.cells[i])
     }
 
     /// Sets a cell inside of the grid.
-    pub(super) fn set(&mut self, place: Place, known: Known) {
+    pub(super) fn set(&mut self, place: Place, known: Occupancy) {
         if let Some(i) = self.index(place) {
             self.cells[i] = known;
         }
@@ -172,8 +172,8 @@ impl TopView {
     /// The surface in a cell, if it is occupied.
     pub(super) fn top(&self, place: Place) -> Option<TopCell> {
         match self.at(place) {
-            Known::Occupied(top) => Some(top),
-            Known::Free | Known::Unknown => None,
+            Occupancy::Occupied(top) => Some(top),
+            Occupancy::Free | Occupancy::Unknown => None,
         }
     }
 
@@ -181,8 +181,8 @@ impl TopView {
     pub(super) fn occupied(&self) -> impl Iterator<Item = (Place, TopCell)> + '_ {
         let place = |i: usize| (self.low.0 + i as i32 % self.size.0, self.low.1 + i as i32 / self.size.0);
         self.cells.iter().enumerate().filter_map(move |(i, known)| match known {
-            Known::Occupied(top) => Some((place(i), *top)),
-            Known::Free | Known::Unknown => None,
+            Occupancy::Occupied(top) => Some((place(i), *top)),
+            Occupancy::Free | Occupancy::Unknown => None,
         })
     }
 

@@ -55,7 +55,7 @@ pub enum LabelError {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Line {
+struct LabelledImage {
     image: String,
     hand: Option<LabelledHand>,
 }
@@ -69,7 +69,7 @@ impl HandLabels {
         let mut labels = BTreeMap::new();
         for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
             let wrong = |why: String| LabelError::Line { line: i + 1, why };
-            let Line { image, hand } =
+            let LabelledImage { image, hand } =
                 serde_json::from_str(line).map_err(|error| wrong(error.to_string()))?;
             if hand.as_ref().is_some_and(|hand| !(hand.size() > 0.0 && hand.size().is_finite())) {
                 return Err(wrong(format!("the wrist and the knuckle of `{image}` are at the same place")));
@@ -104,7 +104,8 @@ impl HandLabels {
     #[must_use]
     pub fn write(&self) -> String {
         let line = |(image, hand): (&String, &Option<LabelledHand>)| {
-            serde_json::to_string(&Line { image: image.clone(), hand: hand.clone() }).map(|line| line + "\n")
+            serde_json::to_string(&LabelledImage { image: image.clone(), hand: hand.clone() })
+                .map(|line| line + "\n")
         };
         self.0.iter().filter_map(|label| line(label).ok()).collect()
     }

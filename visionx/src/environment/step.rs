@@ -1,0 +1,73 @@
+//! The environment model as a processing step: what it has fused is observed after each picture.
+
+use armarium_values::Observation;
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
+use super::{EnvironmentModel, SurfaceEstimate};
+use crate::annotate;
+use crate::camera::PinholeCamera;
+use crate::frame::{RgbImage, StereoFrame};
+use crate::providers::RawFrame;
+use crate::steps::{ENVIRONMENT, StereoStep, TABLE, posed};
+use crate::tabletop::TabletopSegmentation;
+
+/// Tables, shelves, walls and the floor, fused over time, as `EnvironmentModels`. A surface that is no longer there is told for some
+/// time more, with the confidence 0.
+pub struct EnvironmentStep {
+    model: EnvironmentModel,
+    camera: PinholeCamera,
+    root_from_left: Isometry3<f64>,
+    last: Vec<SurfaceEstimate>,
+}
+
+impl EnvironmentStep {
+    /// The step around a model, for frames of this camera.
+    pub fn new(model: EnvironmentModel, camera: PinholeCamera) -> Self {
+        Self { model, camera, root_from_left: Isometry3::identity(), last: Vec::new() }
+    }
+}
+
+impl StereoStep for EnvironmentStep {
+    fn name(&self) -> &str {
+        "environment"
+    }
+
+    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
+        TabletopSegmentation::new(self.camera).missing_input(frame)
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        self.root_from_left = frame.root_from_left;
+        self.model.update(frame);
+        self.last = self.model.surfaces();
+        self.last.iter().map(|surface| surface_seen(surface, frame.stamp_ns)).collect()
+    }
+
+    fn draw(&self, image: &mut RgbImage) {
+        for surface in self.last.iter().filter(|surface| surface.probability > 0.5) {
+            let half = surface.size.map(|edge| edge / 2.0);
+            let corner = |[x, y]: [f64; 2]| {
+                let at = Point3::new(x * half[0], y * half[1], 0.0);
+                let in_left = self.root_from_left.inverse() * surface.root_from_surface * at;
+                self.camera.project(&in_left).filter(|_| in_left.z > 0.1)
+            };
+            let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(corner);
+            let corners: Option<Vec<_>> = corners.into_iter().collect();
+            annotate::polygon(image, &corners.unwrap_or_default(), [0, 255, 255]);
+        }
+    }
+}
+
+fn surface_seen(surface: &SurfaceEstimate, stamp_ns: u64) -> Observation {
+    let pose = &surface.root_from_surface;
+    // Along the surface its middle is as certain as its extent.
+    let axes = pose.rotation.to_rotation_matrix();
+    let spread = Vector3::new(TABLE, TABLE, surface.covariance[(0, 0)].max(1e-9));
+    let covariance = axes * Matrix3::from_diagonal(&spread) * axes.transpose();
+    let covariance = (covariance + covariance.transpose()) * 0.5;
+    posed((ENVIRONMENT, surface.class), stamp_ns, pose, &covariance)
+        .named(&surface.name)
+        .with_confidence(surface.probability)
+        .with("size", [surface.size[0], surface.size[1], 0.0])
+        .with("plane_covariance", surface.covariance.transpose().as_slice().to_vec())
+}
