@@ -69,8 +69,11 @@ impl HandLabels {
         let mut labels = BTreeMap::new();
         for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
             let wrong = |why: String| LabelError::Line { line: i + 1, why };
+            // The reader of JSON has seen this line only, and takes it for the first.
+            let why =
+                |error: serde_json::Error| error.to_string().replace(" at line 1 column ", ", in column ");
             let LabelledImage { image, hand } =
-                serde_json::from_str(line).map_err(|error| wrong(error.to_string()))?;
+                serde_json::from_str(line).map_err(|error| wrong(why(error)))?;
             if hand.as_ref().is_some_and(|hand| !(hand.size() > 0.0 && hand.size().is_finite())) {
                 return Err(wrong(format!("the wrist and the knuckle of `{image}` are at the same place")));
             }
