@@ -6,11 +6,11 @@ use std::sync::Arc;
 use armarium_values::{Frame, Observation, ObservedPlace};
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
 
-use super::patches::{Found, HALF, difference, find};
+use super::patches::{Found, HALF, align, difference, find, smooth};
 use super::{OwnHand, OwnPart};
 use crate::annotate;
 use crate::camera::PinholeCamera;
-use crate::frame::{DepthImage, RgbImage, SharedImage, StereoFrame};
+use crate::frame::{DepthImage, RgbImage, StereoFrame};
 use crate::mask::Region;
 use crate::outline::{ConvexOutline, box_outline};
 use crate::steps::StereoStep;
@@ -23,6 +23,8 @@ const KEPT: usize = 12;
 const APART: f64 = 3.0;
 /// Distance of patches, px.
 const GRID: usize = 4;
+/// Distance of the pixels by which pictures are aligned.
+const ALIGNED: u32 = 4;
 /// What rises less from the table, m, may be a shadow on it.
 const RAISED: f64 = 0.010;
 /// Patches farther from all fingers than this, m, have nothing to do with them.
@@ -44,7 +46,7 @@ type HandAt = Box<dyn Fn(u64) -> Option<OwnHand> + Send>;
 
 /// A picture, with what is known of its time.
 struct Kept {
-    left: SharedImage,
+    left: RgbImage,
     depth: Arc<DepthImage>,
     root_from_left: Isometry3<f64>,
     hand: OwnHand,
@@ -119,10 +121,30 @@ impl TouchStep {
             });
         let reach = focal * (NEAR + 0.05) / depth.fold(f64::INFINITY, f64::min).max(0.2);
         let region = Region::around(fingers, reach, self.camera.width, self.camera.height);
+        let shifts = [before, now].map(|other| self.shift(then, other));
         let grid = region
             .pixels()
             .filter(|(x, y)| (*x as usize).is_multiple_of(GRID) && (*y as usize).is_multiple_of(GRID));
-        grid.filter_map(|(x, y)| self.patch([before, then, now], (x, y))).collect()
+        grid.filter_map(|(x, y)| self.patch([before, then, now], &shifts, (x, y))).collect()
+    }
+
+    /// By how much another picture is shifted against where the camera's known motion would bring it, px.
+    fn shift(&self, then: &Kept, other: &Kept) -> Vector2<f64> {
+        let left_from_left = other.root_from_left.inverse() * then.root_from_left;
+        let pair = |(x, y): (u32, u32)| {
+            let (x, y) = (x * ALIGNED, y * ALIGNED);
+            let px = Point2::new(f64::from(x), f64::from(y));
+            let depth = f64::from(then.depth.at(x, y));
+            if depth == 0.0 || then.hides(&px) {
+                return None;
+            }
+            let there =
+                self.camera.project(&(left_from_left * Point3::from(self.camera.ray(&px) * depth)))?;
+            (!other.hides(&there)).then(|| (Point2::new(x as i32, y as i32), there))
+        };
+        let grid = Region::whole(self.camera.width / ALIGNED, self.camera.height / ALIGNED);
+        let pairs: Vec<_> = grid.pixels().filter_map(pair).collect();
+        align(&then.left, &other.left, &pairs)
     }
 
     fn middle_px(&self, kept: &Kept, part: &OwnPart) -> Option<Point2<f64>> {
@@ -131,7 +153,12 @@ impl TouchStep {
     }
 
     /// The patch about a pixel of the second picture; `None` where it says nothing.
-    fn patch(&self, [before, then, now]: [&Kept; 3], (x, y): (u32, u32)) -> Option<Patch> {
+    fn patch(
+        &self,
+        [before, then, now]: [&Kept; 3],
+        [shift_before, shift_now]: &[Vector2<f64>; 2],
+        (x, y): (u32, u32),
+    ) -> Option<Patch> {
         let px = Point2::new(f64::from(x), f64::from(y));
         if then.hides(&px) {
             return None;
@@ -143,12 +170,14 @@ impl TouchStep {
             return None;
         }
         then.hand.nearest_finger(&at).filter(|(_, distance)| *distance < NEAR)?;
-        let patch = (&*then.left, Point2::new(x as i32, y as i32));
+        let patch = (&then.left, Point2::new(x as i32, y as i32));
         let (still, motion) = self.still_and_motion(then, now, &at)?;
+        let still = still + shift_now;
         if difference(patch, (&then.left, &(px + motion)))? < PLAIN {
             return None;
         }
         let (was, moved) = self.still_and_motion(then, before, &at)?;
+        let was = was + shift_before;
         let was_still = !before.hides(&was) && find(patch, &before.left, (&was, &moved))? == Found::Still;
         if !was_still || now.hides(&still) || now.hides(&(still + motion)) {
             return None;
@@ -225,7 +254,7 @@ impl StereoStep for TouchStep {
             box_outline(&self.camera, 0.0, &(left_from_root * part.root_from_box), &part.size)
         };
         let own = hand.parts.iter().filter_map(outline).collect();
-        let (left, depth, root_from_left) = (frame.left.clone(), Arc::clone(depth), frame.root_from_left);
+        let (left, depth, root_from_left) = (smooth(&frame.left), Arc::clone(depth), frame.root_from_left);
         self.kept.push_back(Kept { left, depth, root_from_left, hand, own });
         if self.kept.len() > KEPT {
             self.kept.pop_front();
