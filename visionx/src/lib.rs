@@ -74,5 +74,5 @@ pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
 pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
-pub use touch::{OwnFinger, OwnHand, OwnPart, TouchStep};
+pub use touch::{OwnFinger, OwnHand, OwnPart, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

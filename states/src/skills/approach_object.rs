@@ -7,7 +7,7 @@ use armarium_memoryx::updater::Updater;
 use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Observation, Type, Unit};
-use armarium_visionx::{Sight, TouchStep};
+use armarium_visionx::{Sight, TouchStep, TouchedTable};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
@@ -79,10 +79,10 @@ async fn eyes(equipment: &Equipment, arm: &LeasedArm, tcp: &Isometry3<f64>) -> R
     let table = Surface::known_under(equipment.remembered(), &grasped).await?.ok_or_else(|| {
         Failure::new("memory knows no table under the hand; LocateObject or ModelEnvironment would find it")
     })?;
-    let on_it = (table.at(grasped.x, grasped.y), table.normal().into_inner());
+    let table = TouchedTable { at: table.at(grasped.x, grasped.y), normal: table.normal() };
     let own = own_hand(equipment, &arm.limb)?;
     let camera = equipment.images.calibration().camera;
-    Ok(equipment.look(TouchStep::new(camera, &hand.name, on_it, own)))
+    Ok(equipment.look(TouchStep::new(camera, &hand.name, table, own)))
 }
 
 /// Moves along the fingers until the way is done or something is touched.

@@ -5,7 +5,7 @@
 //! they were.
 //!
 //! - [`OwnHand`]: where the hand is at a time, and the boxes that the own body fills, whose pixels say nothing.
-//! - `patches`: compares small parts of two pictures.
+//! - `picture`: a picture with what is known of its time. `patches`: compares small parts of two pictures.
 //! - [`TouchStep`]: the processing step.
 //!
 //! It needs depth: only by that is a shadow on the table told from a thing.
@@ -16,11 +16,12 @@
 //! motion is looked for, and the hand's pixels come from its description instead of from a tracked model of it.
 
 mod patches;
+mod picture;
 mod step;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 pub use step::TouchStep;
 
@@ -53,7 +54,20 @@ pub struct OwnHand {
     pub parts: Vec<OwnPart>,
 }
 
+/// The surface of a table over which a hand moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TouchedTable {
+    /// A point of it, root frame, m.
+    pub at: Point3<f64>,
+    /// Its normal, upwards.
+    pub normal: Unit<Vector3<f64>>,
+}
+
 impl OwnPart {
+    pub(crate) fn middle(&self) -> Point3<f64> {
+        self.root_from_box.translation.vector.into()
+    }
+
     /// The distance of a point (root frame) from it, m; 0 inside.
     pub(crate) fn distance(&self, point: &Point3<f64>) -> f64 {
         let in_box = self.root_from_box.inverse() * point;
