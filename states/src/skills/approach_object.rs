@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, held_in_tcp};
-use crate::inputs::{Inputs, seen_at};
+use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
 use crate::own_hand::own_hand;
 use crate::surface::Surface;
@@ -37,6 +37,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     .output("gone", Type::quantity(Unit::M), "How far the hand went.")
     .output("finger", Type::String, "The finger that touched; empty where that is not known.")
     .output("aside", Type::quantity(Unit::M), "How far beside the middle of the hand the touched thing is, along the TCP's y; 0 where that is not known.")
+    .output("tcp", Type::Pose, "Pose of the TCP at the end.")
     .outcome(TOUCHED)
     .mark(Mark::at_start("approach_started"))
     .mark(Mark::at_success("approach_ended"));
@@ -53,13 +54,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     };
     let touch = approach(&mut arm, &mut senses, begin, &context, eyes.as_mut()).await?;
     let here = arm.tcp(&senses.newest());
-    let gone = (here.translation.vector - begin.translation.vector).norm();
-    let Some(touch) = touch else {
-        return Ok(Outcome::success().with("gone", gone).with("finger", "").with("aside", 0.0));
+    let ended = |outcome: Outcome, finger: &str, aside: f64| {
+        let gone = (here.translation.vector - begin.translation.vector).norm();
+        outcome.with("gone", gone).with("finger", finger).with("aside", aside).with("tcp", pose_value(&here))
     };
+    let Some(touch) = touch else { return Ok(ended(Outcome::success(), "", 0.0)) };
     let aside = seen_at(&touch).map_or(0.0, |at| (here.inverse() * at).y);
     let finger = touch.attributes.get("finger").and_then(|name| name.as_str()).unwrap_or_default();
-    let outcome = Outcome::named(TOUCHED).with("gone", gone).with("finger", finger).with("aside", aside);
+    let outcome = ended(Outcome::named(TOUCHED), finger, aside);
     let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
     updater.update(&[touch]).await.map_err(failed)?;
     // The hand comes to rest before anybody else moves it.
