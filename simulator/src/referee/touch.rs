@@ -178,3 +178,66 @@ fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
     let note = "Each way of the hand to a thing: when a finger truly touched something first, and what the robot noticed of it.";
     vec![Section::new("Touches", note, vec![Block::Table(table)])]
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Isometry3, Vector3};
+    use serde_json::json;
+
+    use super::*;
+    use crate::referee::{KnownTouch, TruthLog, measure};
+    use crate::truth::TruthSample;
+    use crate::world::World;
+
+    const MS: u64 = 1_000_000;
+
+    /// The hand goes along y at 50 mm/s, begins to push the first object after 500 ms with its left finger, and knows it at `known`.
+    fn figures(known: Option<(u64, &str)>) -> Value {
+        let world = World::default();
+        let finger = world.model().unwrap().link("finger_left_r").unwrap();
+        let mut log = TruthLog::default();
+        for t in 0..1500 {
+            let y = 5e-5 * t as f64;
+            let object = Isometry3::translation(0.3, 0.6 + (y - 0.025).max(0.0), 1.0);
+            log.sample(&TruthSample {
+                stamp_ns: t * MS,
+                tcp: Isometry3::from(Vector3::new(0.3, 0.5 + y, 1.0)),
+                object: Some(0),
+                objects: vec![object],
+                links_touching: if t >= 500 { vec![(finger, 0)] } else { Vec::new() },
+                ..TruthSample::default()
+            });
+        }
+        let touch = |finger: &str| KnownTouch { finger: finger.into(), by: "seen".into() };
+        log.touches.extend(known.map(|(at, finger)| (at * MS, touch(finger))));
+        let marks = [(100 * MS, Milestone::ApproachStarted), (1400 * MS, Milestone::ApproachEnded)];
+        let marks = if known.is_some() { &marks[..1] } else { &marks[..] };
+        measure(&world, &log, marks, &[])["touch"].clone()
+    }
+
+    #[test]
+    fn a_touch_is_late_by_the_time_and_the_way_from_the_true_contact() {
+        let touch = figures(Some((660, "finger_left_r")));
+        let first = &touch["approaches"][0];
+        assert!((first["delay_s"].as_f64().unwrap() - 0.16).abs() < 1e-9, "{first}");
+        assert!((first["travel_m"].as_f64().unwrap() - 0.008).abs() < 1e-9, "{first}");
+        assert_eq!(
+            (&touch["in_time"], &touch["right_finger"], &touch["false_alarms"]),
+            (&json!(1), &json!(1.0), &json!(0))
+        );
+        let late = figures(Some((900, "finger_right_r")));
+        assert_eq!((&late["in_time"], &late["right_finger"]), (&json!(0), &json!(0.0)));
+    }
+
+    #[test]
+    fn what_is_known_before_it_happens_is_a_false_alarm_and_what_is_never_known_is_missed() {
+        let early = figures(Some((400, "finger_left_r")));
+        assert_eq!((&early["false_alarms"], &early["touches"]), (&json!(1), &json!(0)));
+        let never = figures(None);
+        assert_eq!(
+            (&never["missed"], &never["touches"], &never["in_time"]),
+            (&json!(1), &json!(1), &json!(0))
+        );
+        assert!(asks(&never).iter().any(|figure| figure.name == "missed" && figure.passed() == Some(false)));
+    }
+}

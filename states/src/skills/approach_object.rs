@@ -79,7 +79,7 @@ async fn eyes(equipment: &Equipment, arm: &LeasedArm, tcp: &Isometry3<f64>) -> R
     let hand = hand(equipment.robot.model(), &arm.limb)?;
     let grasped: Point3<f64> = tcp * held_in_tcp(hand);
     let table = Surface::known_under(equipment.remembered(), &grasped).await?.ok_or_else(|| {
-        Failure::new("memory knows no table under the hand; LocateObject or ModelEnvironment would find it")
+        Failure::new("memory knows no table under the hand; LocateObject or ModelEnvironment finds it where the cameras give depth")
     })?;
     let table = TouchedTable { at: table.at(grasped.x, grasped.y), normal: table.normal() };
     let own = own_hand(equipment, &arm.limb)?;

@@ -165,3 +165,49 @@ pub(super) fn find(
         Found::Otherwise
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A smooth pattern, shifted by so many pixels.
+    fn pattern(shift: Vector2<f64>) -> RgbImage {
+        RgbImage::painted(80, 60, |x, y| {
+            let (x, y) = (f64::from(x) - shift.x, f64::from(y) - shift.y);
+            let level = 120.0 + 50.0 * (x / 5.0).sin() + 40.0 * (y / 4.0 + x / 9.0).cos();
+            [level as u8, (level * 0.9) as u8, (level * 0.6) as u8]
+        })
+    }
+
+    #[test]
+    fn pictures_are_aligned_to_a_twentieth_of_a_pixel_while_a_part_of_them_moves_otherwise() {
+        let shift = Vector2::new(0.4, -0.7);
+        let (first, mut second) = (pattern(Vector2::zeros()), pattern(shift));
+        let elsewhere = pattern(shift + Vector2::new(4.0, 3.0));
+        for (x, y) in (10..25).flat_map(|y| (10..35).map(move |x| (x, y))) {
+            let at = 3 * (y * 80 + x);
+            second.data_mut()[at..at + 3].copy_from_slice(&elsewhere.data()[at..at + 3]);
+        }
+        let all = (2..58).flat_map(|y| (2..78).map(move |x| Point2::new(x, y)));
+        let pairs: Vec<_> = all.map(|at| (at, at.map(f64::from))).collect();
+        assert!((align(&first, &second, &pairs) - shift).norm() < 0.05);
+        assert_eq!(align(&first, &second, &[]), Vector2::zeros());
+    }
+
+    #[test]
+    fn a_patch_is_found_where_it_is() {
+        let first = smooth(&pattern(Vector2::zeros()));
+        let patch = (&first, Point2::new(40, 30));
+        let (still, motion) = (Point2::new(40.0, 30.0), Vector2::new(4.0, 1.0));
+        for (shift, found) in [
+            (Vector2::new(0.3, -0.2), Found::Still),
+            (motion, Found::Moved),
+            (0.6 * motion, Found::Moved),
+            (Vector2::new(-3.0, 4.0), Found::Otherwise),
+        ] {
+            let second = smooth(&pattern(shift));
+            assert_eq!(find(patch, &second, (&still, &motion)), Some(found), "{shift}");
+        }
+        assert_eq!(find(patch, &first, (&Point2::new(2.0, 30.0), &motion)), None);
+    }
+}
