@@ -140,7 +140,7 @@ const CHANGED: f64 = 14.0;
 /// A still patch may be beside its place by this along both axes, px: pictures have pixels, and the camera's motion is not known exactly.
 const BESIDE: f64 = 0.5;
 /// The shares of the hand's motion along which, and across which, a patch is looked for.
-const ALONG: [f64; 5] = [0.4, 0.6, 0.8, 1.0, 1.2];
+const ALONG: [f64; 6] = [0.25, 0.4, 0.6, 0.8, 1.0, 1.2];
 const ACROSS: [f64; 5] = [-0.4, -0.2, 0.0, 0.2, 0.4];
 
 /// Where a patch has gone that would be at `still` in the other picture, or at `still + motion` if it moved with the hand.

@@ -22,11 +22,11 @@ const APART: f64 = 3.0;
 /// Patches that would look as like as this after the hand's motion say nothing.
 const PLAIN: f64 = 9.0;
 /// How far apart patches of one thing may be, and neighbouring points of its surface, m.
-const TOGETHER: f64 = 0.05;
+const TOGETHER: f64 = 0.10;
 const CONNECTED: f64 = 0.012;
 /// So many patches of a thing, and such a share of them, must have moved.
-const ENOUGH: usize = 6;
-const SHARE: f64 = 0.5;
+const ENOUGH: usize = 8;
+const SHARE: f64 = 0.35;
 /// Standard deviation of the place of a touch, m.
 const PLACE: f64 = 0.01;
 
