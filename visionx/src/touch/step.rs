@@ -24,9 +24,9 @@ const PLAIN: f64 = 9.0;
 /// How far apart patches of one thing may be, and neighbouring points of its surface, m.
 const TOGETHER: f64 = 0.10;
 const CONNECTED: f64 = 0.012;
-/// So many patches of a thing, and such a share of them, must have moved.
-const ENOUGH: usize = 8;
-const SHARE: f64 = 0.35;
+/// So many patches of a thing, and such a share of them, must have moved in one picture, or in two that follow each other.
+const SURE: (usize, f64) = (16, 0.75);
+const LIKELY: (usize, f64) = (8, 0.35);
 /// Standard deviation of the place of a touch, m.
 const PLACE: f64 = 0.01;
 
@@ -52,6 +52,8 @@ pub struct TouchStep {
     table: TouchedTable,
     kept: VecDeque<Picture>,
     last: Vec<Patch>,
+    /// Whether the last picture showed what may be a touch.
+    likely: bool,
 }
 
 impl TouchStep {
@@ -63,7 +65,7 @@ impl TouchStep {
         hand_at: impl Fn(u64) -> Option<OwnHand> + Send + 'static,
     ) -> Self {
         let (name, hand_at) = (name.to_owned(), Box::new(hand_at));
-        Self { camera, name, hand_at, table, kept: VecDeque::new(), last: Vec::new() }
+        Self { camera, name, hand_at, table, kept: VecDeque::new(), last: Vec::new(), likely: false }
     }
 
     /// The patches near the fingers that were still before, and where they are now; empty while the hand has not moved enough.
@@ -102,7 +104,7 @@ impl TouchStep {
     }
 
     /// The touch that the patches show.
-    fn touch(&self, stamp_ns: u64) -> Option<Observation> {
+    fn touch(&mut self, stamp_ns: u64) -> Option<Observation> {
         let of =
             |found: Found| self.last.iter().filter(move |patch| patch.found == found).map(|patch| patch.at);
         let (moved, still): (Vec<_>, Vec<_>) = (of(Found::Moved).collect(), of(Found::Still).collect());
@@ -110,9 +112,14 @@ impl TouchStep {
             all.iter().filter(|at| (*at - middle).norm() < TOGETHER).count()
         };
         // The one with the most others around it.
+        let before = std::mem::take(&mut self.likely);
         let middle = *moved.iter().max_by_key(|at| around(at, &moved))?;
         let (moving, still) = (around(&middle, &moved), around(&middle, &still));
-        if moving < ENOUGH || (moving as f64) < SHARE * (moving + still) as f64 {
+        let is = |(enough, share): (usize, f64)| {
+            moving >= enough && moving as f64 >= share * (moving + still) as f64
+        };
+        self.likely = is(LIKELY);
+        if !(is(SURE) || before && self.likely) {
             return None;
         }
         let place = self.middle_of(moved)?;
