@@ -36,7 +36,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     .optional("look", Type::Bool, true, "Whether it looks; without it, it only feels.")
     .output("gone", Type::quantity(Unit::M), "How far the hand went.")
     .output("finger", Type::String, "The finger that touched; empty where that is not known.")
-    .output("aside", Type::quantity(Unit::M), "How far beside the middle of the hand the touched thing is, along the TCP's y; 0 where that is not known.")
+    .output("beside", Type::quantity(Unit::M), "How far beside the middle of the hand the touched thing is, along the TCP's y; 0 where that is not known.")
     .output("tcp", Type::Pose, "Pose of the TCP at the end.")
     .outcome(TOUCHED)
     .mark(Mark::at_start("approach_started"))
@@ -54,14 +54,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     };
     let touch = approach(&mut arm, &mut senses, begin, &context, eyes.as_mut()).await?;
     let here = arm.tcp(&senses.newest());
-    let ended = |outcome: Outcome, finger: &str, aside: f64| {
+    let ended = |outcome: Outcome, finger: &str, beside: f64| {
         let gone = (here.translation.vector - begin.translation.vector).norm();
-        outcome.with("gone", gone).with("finger", finger).with("aside", aside).with("tcp", pose_value(&here))
+        outcome
+            .with("gone", gone)
+            .with("finger", finger)
+            .with("beside", beside)
+            .with("tcp", pose_value(&here))
     };
     let Some(touch) = touch else { return Ok(ended(Outcome::success(), "", 0.0)) };
-    let aside = seen_at(&touch).map_or(0.0, |at| (here.inverse() * at).y);
+    let beside = seen_at(&touch).map_or(0.0, |at| (here.inverse() * at).y);
     let finger = touch.attributes.get("finger").and_then(|name| name.as_str()).unwrap_or_default();
-    let outcome = ended(Outcome::named(TOUCHED), finger, aside);
+    let outcome = ended(Outcome::named(TOUCHED), finger, beside);
     let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
     updater.update(&[touch]).await.map_err(failed)?;
     // The hand comes to rest before anybody else moves it.
