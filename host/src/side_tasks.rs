@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::{Memory as _, Pattern, Query, Snapshot, WorkingMemory};
 use armarium_runtime::exec::Controller;
-use armarium_simulator::{Handle, KnownHypothesis, KnownSurface, KnownThing};
+use armarium_simulator::{Handle, KnownHypothesis, KnownSurface, KnownThing, KnownTouch};
 use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
@@ -51,6 +51,11 @@ pub(crate) async fn watch_perception(
             Ok(snapshot) if snapshot.id.segment() == "ObjectHypotheses" => {
                 let (stamp_ns, name) = (snapshot.referenced_ns, snapshot.id.entity());
                 referee.hypothesis_known(stamp_ns, name, hypothesis(&snapshot));
+            }
+            Ok(snapshot) if snapshot.id.segment() == "Touches" => {
+                let text =
+                    |name| snapshot.attribute(name).and_then(Value::as_str).unwrap_or_default().to_owned();
+                referee.touch_known(clock(), KnownTouch { finger: text("finger"), by: text("by") });
             }
             Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(_) => return,

@@ -27,7 +27,7 @@ pub mod truth;
 pub mod world;
 
 pub use error::{PlantError, SimulationError};
-pub use referee::{KnownHypothesis, KnownSurface, KnownThing, Milestone, Referee};
+pub use referee::{KnownHypothesis, KnownSurface, KnownThing, KnownTouch, Milestone, Referee};
 pub use simulation::{Handle, Options, RobotInWorld, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
 pub use world::World;

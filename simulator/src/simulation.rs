@@ -417,6 +417,8 @@ impl Simulation {
         truth.led.extend(self.plant.led());
         truth.collisions.clear();
         truth.collisions.extend(self.plant.collisions(0));
+        truth.links_touching.clear();
+        truth.links_touching.extend(self.plant.contacts_of_links(0));
         if self.steps.is_multiple_of(LOOKED_AT_EVERY) {
             truth.people.clear();
             truth.people.extend((0..self.people.len()).filter_map(|person| self.plant.distance(0, person)));

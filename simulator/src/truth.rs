@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use armarium_robot::LinkId;
 use nalgebra::{Isometry3, Vector3};
 use parking_lot::Mutex;
 use serde::Serialize;
@@ -44,6 +45,8 @@ pub struct TruthSample {
     pub led: Vec<LedHand>,
     /// The forces between the first robot and other things, N.
     pub collisions: Vec<(Touched, f64)>,
+    /// Which links of the first robot touch which bodies, by their index.
+    pub links_touching: Vec<(LinkId, usize)>,
     /// The distance between the first robot's arms and each person when it was last looked at, m.
     pub people: Vec<f64>,
     /// The poses of the parts of each person at that time, root frame.

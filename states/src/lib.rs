@@ -28,6 +28,7 @@ mod led;
 mod motions;
 mod needs;
 pub mod observers;
+mod own_hand;
 mod places;
 mod prior;
 mod reach;

@@ -11,7 +11,8 @@ pub struct Lack {
     pub skills: &'static [&'static str],
 }
 
-const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion", "PlayMotion", "PushObject"];
+const ARM: &[&str] =
+    &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion", "PlayMotion", "PushObject", "ApproachObject"];
 const HAND: &[&str] = &[
     "OpenHand",
     "CloseHand",
@@ -23,6 +24,7 @@ const HAND: &[&str] = &[
     "CalibrateHandEye",
     "ChoosePush",
     "PushObject",
+    "ApproachObject",
 ];
 const WRENCH: &[&str] = &[
     "Tare",
@@ -37,6 +39,7 @@ const WRENCH: &[&str] = &[
     "LearnTogether",
     "PutDownTogether",
     "PushObject",
+    "ApproachObject",
 ];
 const TWO_ARMS: &[&str] =
     &["SqueezeTogether", "BimanualVisualServo", "CarryTogether", "LearnTogether", "PutDownTogether"];
@@ -54,6 +57,7 @@ const CAMERAS: &[&str] = &[
     "LookAround",
     "ModelEnvironment",
     "GazeSelection",
+    "ApproachObject",
 ];
 
 /// What a robot lacks, and for which skills.

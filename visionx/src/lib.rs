@@ -9,7 +9,8 @@
 //!   colour and size. [`TabletopSegmentation`]: a table and the objects on it.
 //!   [`EnvironmentModel`]: tables, shelves, walls and the floor, fused over time. [`HandObserver`]: a person's hand, its
 //!   gesture and where it points.
-//! - [`segmentation`]: unknown things on a table, told apart by what moves together.
+//! - [`segmentation`]: unknown things on a table, told apart by what moves together. [`TouchStep`]: that the own hand touches
+//!   something.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.
 //!   [`StereoStep`]: a tracker as a processing step. [`Sight`]: such a step at work on the pairs of this process.
@@ -49,6 +50,7 @@ pub mod segmentation;
 mod sight;
 mod steps;
 mod tabletop;
+mod touch;
 pub mod tracking;
 
 pub use camera::{PinholeCamera, StereoCalibration};
@@ -72,4 +74,5 @@ pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
 pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
+pub use touch::{OwnFinger, OwnHand, OwnPart, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

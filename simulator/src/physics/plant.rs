@@ -16,7 +16,7 @@
 //!   handles by springs instead (see [`soft_grip`](super::soft_grip)), by several hands at once.
 //! - The wrist sensors are exact here (see [`wrench`](super::wrench)); noise is added in the sensing.
 
-use armarium_robot::ForceTorque;
+use armarium_robot::{ForceTorque, LinkId};
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::parry::query;
 use rapier3d_f64::prelude as rapier;
@@ -518,6 +518,17 @@ impl Plant {
                 (None, None) => Touched::Room,
             };
             Some((what, touch.force.norm()))
+        })
+    }
+
+    /// Which links of a robot touch which bodies.
+    pub fn contacts_of_links(&self, robot: usize) -> impl Iterator<Item = (LinkId, usize)> + '_ {
+        self.touches.iter().filter_map(move |touch| {
+            let [a, b] = touch.colliders;
+            let parts = [(a, b), (b, a)].into_iter();
+            parts.filter_map(|(own, other)| Some((self.robots[robot].link_of(own)?, other))).find_map(
+                |(link, other)| Some((link, self.objects.iter().position(|o| o.colliders.contains(&other))?)),
+            )
         })
     }
 

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{ForceTorque, Limb, Model};
+use armarium_robot::{ForceTorque, Limb, LinkId, Model};
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::ColliderHandle;
@@ -229,8 +229,13 @@ impl PlantRobot {
         self.parts.colliders.iter().map(|(_, collider)| *collider)
     }
 
+    /// The link of which this is a collision shape.
+    pub(super) fn link_of(&self, collider: ColliderHandle) -> Option<LinkId> {
+        self.parts.colliders.iter().find(|(_, own)| *own == collider).map(|(link, _)| *link)
+    }
+
     /// Whether a collider is a part of this robot.
     pub(super) fn has(&self, collider: ColliderHandle) -> bool {
-        self.colliders().any(|own| own == collider)
+        self.link_of(collider).is_some()
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use armarium_robot::LinkId;
 use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
@@ -72,6 +73,15 @@ pub struct KnownHypothesis {
     pub class: Option<String>,
 }
 
+/// A touch of a hand as the robot's memory knows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct KnownTouch {
+    /// The link of the finger; empty where the robot does not know it.
+    pub finger: String,
+    /// `seen` or `felt`.
+    pub by: String,
+}
+
 /// A time in which a running skill needed to know the place of a thing.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct NeededThing {
@@ -109,6 +119,12 @@ pub struct TruthLog {
     pub(super) things: Vec<(u64, String, KnownThing)>,
     /// What it told of things that it tells apart in a picture: the picture's time, ns, the name, and `None` when it was dropped.
     pub(super) hypotheses: Vec<(u64, String, Option<KnownHypothesis>)>,
+    /// What it told of touches, and when, ns.
+    pub(super) touches: Vec<(u64, KnownTouch)>,
+    /// When a link of the first robot truly began to touch a body, ns; bodies by their index.
+    pub(super) contacts: Vec<(u64, LinkId, usize)>,
+    /// Those that touched at last.
+    touching: Vec<(LinkId, usize)>,
     /// Which things the running skills needed.
     pub(super) needs: Vec<NeededThing>,
     /// The coach's events.
@@ -150,6 +166,12 @@ impl TruthLog {
             let strongest = self.strongest.entry(*what).or_default();
             *strongest = strongest.max(*force);
         }
+        for (link, body) in &s.links_touching {
+            if !self.touching.contains(&(*link, *body)) && self.contacts.len() < MAX_FRAMES {
+                self.contacts.push((s.stamp_ns, *link, *body));
+            }
+        }
+        self.touching.clone_from(&s.links_touching);
         self.nearest.resize(s.people.len().max(self.nearest.len()), f64::INFINITY);
         for (nearest, distance) in self.nearest.iter_mut().zip(&s.people) {
             *nearest = nearest.min(*distance);

@@ -2,7 +2,7 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod carrying;
@@ -24,13 +24,14 @@ mod run;
 mod segmentation;
 #[cfg(test)]
 mod tests;
+mod touch;
 mod wiped;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::report::Section;
-pub use log::{KnownHypothesis, KnownSurface, KnownThing, Record, TruthLog};
+pub use log::{KnownHypothesis, KnownSurface, KnownThing, KnownTouch, Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
 pub use probes::judged_figures;
 use run::Run;
@@ -99,6 +100,10 @@ pub enum Milestone {
     PlayEnded,
     /// The robot has pushed something to see what moves.
     ObjectPushed,
+    /// A hand begins to come to a thing, and is to stop when it touches it.
+    ApproachStarted,
+    /// It has come to the end of its way.
+    ApproachEnded,
 }
 
 impl Milestone {
@@ -130,6 +135,8 @@ impl Milestone {
             "play_started" => Self::PlayStarted,
             "play_ended" => Self::PlayEnded,
             "object_pushed" => Self::ObjectPushed,
+            "approach_started" => Self::ApproachStarted,
+            "approach_ended" => Self::ApproachEnded,
             _ => return None,
         })
     }
@@ -215,6 +222,14 @@ impl Referee {
         let mut notes = self.notes();
         if notes.log.hypotheses.len() < log::MAX_FRAMES {
             notes.log.hypotheses.push((stamp_ns, name.to_owned(), known));
+        }
+    }
+
+    /// Records that the robot's memory was told of a touch at `stamp_ns`.
+    pub fn touch_known(&self, stamp_ns: u64, known: KnownTouch) {
+        let mut notes = self.notes();
+        if notes.log.touches.len() < log::MAX_FRAMES {
+            notes.log.touches.push((stamp_ns, known));
         }
     }
 

@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 use super::run::Run;
 use super::{
     bodies, carrying, coached, environment, force, gaze, gestures, grasp, guiding, imitation,
-    learning_together, people, reaching, segmentation, wiped,
+    learning_together, people, reaching, segmentation, touch, wiped,
 };
 
 /// A probe.
@@ -26,7 +26,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 15] = [
+const PROBES: [&Probe; 16] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -42,6 +42,7 @@ const PROBES: [&Probe; 15] = [
     &environment::PROBE,
     &gaze::PROBE,
     &segmentation::PROBE,
+    &touch::PROBE,
 ];
 
 /// The figures of the probes that the world wants and that find something, by their names.

@@ -52,7 +52,7 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 15] = [
+pub const PROBES: [&str; 16] = [
     "grasp",
     "imitation",
     "force",
@@ -68,6 +68,7 @@ pub const PROBES: [&str; 15] = [
     "environment",
     "gaze",
     "segmentation",
+    "touch",
 ];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
@@ -107,7 +108,7 @@ form! {
         /// People who act: the coach, and others who keep to a schedule.
         pub actors: Vec<ActorSpec> = Vec::new(), Rule::most(MAX_ACTORS);
         /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `bodies`,
-        /// `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`; by default each that finds something.
+        /// `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`; by default each that finds something.
         pub probes: Vec<String> = Vec::new(), Rule { most: MAX_LIST, ..Rule::NAME };
         /// Sensors that are broken.
         pub faults: Faults = Faults::default();

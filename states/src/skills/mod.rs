@@ -1,5 +1,6 @@
 //! All skills, by name. A new one is a file here and a line in [`skills`].
 
+mod approach_object;
 mod attach_object;
 mod bimanual_servo;
 mod calibrate_hand_eye;
@@ -68,6 +69,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(locate_object::skill(equipment)),
         Arc::new(recall_object::skill(equipment)),
         Arc::new(plan_grasp::skill(equipment)),
+        Arc::new(approach_object::skill(equipment)),
         Arc::new(visual_servo::skill(equipment)),
         Arc::new(bimanual_servo::skill(equipment)),
         Arc::new(tare::skill(equipment)),

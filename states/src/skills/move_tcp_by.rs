@@ -13,7 +13,13 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         "MoveTcpBy",
         "Moves the arm's TCP by an offset on a straight line, without turning it.",
     )
-    .input("offset", Type::list(Type::FLOAT), "x, y, z in the root frame, m.")
+    .input("offset", Type::list(Type::FLOAT), "x, y, z in the frame, m.")
+    .optional(
+        "frame",
+        Type::one_of(["root", "hand"]),
+        "root",
+        "The frame of the offset: the robot's root, or the TCP as it is at the start.",
+    )
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.")
     .optional("position_tolerance", Type::quantity(Unit::M), 0.01, "When the position counts as reached.")
     .optional("timeout", Type::Duration, 10.0, "Longest time it may take.")
@@ -32,6 +38,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut target = arm.tcp(&senses.newest());
-    target.translation.vector += offset;
+    let in_hand = context.text("frame")? == "hand";
+    target.translation.vector += if in_hand { target.rotation * offset } else { offset };
     move_to(&mut arm, &mut senses, target, speed, &reached).await
 }

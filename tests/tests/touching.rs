@@ -1,0 +1,41 @@
+//! A hand that comes along a table sees what it touches, and grasps what it would have pushed away.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+mod ended;
+
+use armarium_host::{RunConfig, RunEnded};
+
+use ended::ended;
+
+fn grasped(world: &str, inputs: &[(&str, &str)]) -> RunEnded {
+    let charts = armarium_tests::repository::root().join("statecharts");
+    let inputs = inputs.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+    let world = Some(charts.join(world));
+    ended(RunConfig { world, seed: 7, inputs, ..RunConfig::new(charts.join("collision_grasp.yaml")) })
+}
+
+#[test]
+fn a_box_of_which_the_place_is_told_wrong_is_grasped_by_sight_and_pushed_away_without() {
+    for off in ["-0.04", "0.04"] {
+        let seen = grasped("collision_grasp.world.yaml", &[("off", off)]);
+        assert_eq!(seen.result.outcome, "success", "{:?} {:?}", seen.result.reason, seen.result.chain);
+        let touch = &seen.report["touch"];
+        assert!(touch["touches"].as_u64() >= Some(1) && touch["in_time"] == touch["touches"], "{touch}");
+        assert!(
+            touch["right_finger"] == 1.0 && touch["false_alarms"] == 0 && touch["grasped"] == 1,
+            "{touch}"
+        );
+        let felt = grasped("collision_grasp.world.yaml", &[("off", off), ("look", "false")]);
+        let touch = &felt.report["touch"];
+        assert!(touch["missed"] == 1 && touch["grasped"] == 0, "{touch}");
+    }
+}
+
+#[test]
+fn a_hand_that_passes_is_no_touch() {
+    let ended = grasped("passing_hand.world.yaml", &[("off", "0")]);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let touch = &ended.report["touch"];
+    assert!(touch["touches"] == 0 && touch["false_alarms"] == 0 && touch["grasped"] == 1, "{touch}");
+}

@@ -1,0 +1,138 @@
+//! A picture of the hand on its way, with what is known of its time: where camera and hand were, and what rises from the table near the
+//! fingers.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point2, Point3, Vector2, Vector3};
+
+use super::patches::{HALF, align, smooth};
+use super::{OwnFinger, OwnHand, OwnPart, TouchedTable};
+use crate::camera::PinholeCamera;
+use crate::frame::{DepthImage, RgbImage, StereoFrame};
+use crate::mask::Region;
+use crate::outline::{ConvexOutline, box_outline};
+
+/// Distance of patches, px, and of the pixels by which pictures are aligned.
+const GRID: u32 = 4;
+/// What rises less from the table, m, may be a shadow on it.
+const RAISED: f64 = 0.010;
+/// What is farther from all fingers than this, m, has nothing to do with them.
+const NEAR: f64 = 0.12;
+/// How far from the fingers' middles they reach, m.
+const FINGER: f64 = 0.05;
+/// Own parts may be beside where they are known to be by this, px.
+const MARGIN: f64 = 3.0;
+
+/// The left picture, smoothed.
+pub(super) struct Picture {
+    pub(super) left: RgbImage,
+    pub(super) hand: OwnHand,
+    /// The outlines of the own body.
+    pub(super) own: Vec<ConvexOutline>,
+    depth: Arc<DepthImage>,
+    root_from_left: Isometry3<f64>,
+    camera: PinholeCamera,
+}
+
+impl Picture {
+    /// A frame with depth; `None` without.
+    pub(super) fn new(frame: &StereoFrame, camera: &PinholeCamera, hand: OwnHand) -> Option<Self> {
+        let depth = Arc::clone(frame.depth.as_ref().filter(|depth| camera.usable(depth).is_some())?);
+        let left_from_root = frame.root_from_left.inverse();
+        let outline =
+            |part: &OwnPart| box_outline(camera, 0.0, &(left_from_root * part.root_from_box), &part.size);
+        let own = hand.parts.iter().filter_map(outline).collect();
+        let (left, root_from_left) = (smooth(&frame.left), frame.root_from_left);
+        Some(Self { left, hand, own, depth, root_from_left, camera: *camera })
+    }
+
+    fn px(&self, at: &Point3<f64>) -> Option<Point2<f64>> {
+        self.camera.project(&(self.root_from_left.inverse() * at))
+    }
+
+    /// How far the fingers have moved since an earlier picture, px of this one.
+    pub(super) fn fingers_moved_since(&self, earlier: &Self) -> f64 {
+        let [then, now] = [earlier, self].map(|picture| self.px(&picture.hand.middle_of_fingers()));
+        then.zip(now).map_or(0.0, |(then, now)| (now - then).norm())
+    }
+
+    /// Whether the own body hides a part of the patch about a pixel.
+    pub(super) fn hides(&self, px: &Point2<f64>) -> bool {
+        self.own.iter().any(|outline| outline.signed_distance(px) < MARGIN + f64::from(HALF))
+    }
+
+    /// Every so many pixels around the fingers.
+    pub(super) fn around_fingers(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
+        let left_from_root = self.root_from_left.inverse();
+        let middle = |finger: &OwnFinger| left_from_root * finger.part.middle();
+        let middles: Vec<Point3<f64>> = self.hand.fingers.iter().map(middle).collect();
+        let nearest = middles.iter().map(|at| at.z).fold(f64::INFINITY, f64::min).max(0.2);
+        let PinholeCamera { focal, width, height, .. } = self.camera;
+        let px = middles.iter().filter_map(|at| self.camera.project(at));
+        let region = Region::around(px, focal * (NEAR + FINGER) / nearest, width, height);
+        region.pixels().filter(|(x, y)| x.is_multiple_of(GRID) && y.is_multiple_of(GRID))
+    }
+
+    /// The point (root frame) that a pixel shows, or what is in front within so many pixels of it, if it rises from the table near the
+    /// fingers and is not hidden by the own body.
+    pub(super) fn raised(
+        &self,
+        (x, y): (u32, u32),
+        within: u32,
+        table: &TouchedTable,
+    ) -> Option<Point3<f64>> {
+        let px = Point2::new(f64::from(x), f64::from(y));
+        let depth = nearest_depth(&self.depth, (x, y), within)?;
+        let at = self.root_from_left * Point3::from(self.camera.ray(&px) * depth);
+        if self.hides(&px) || table.normal.dot(&(at - table.at)) < RAISED {
+            return None;
+        }
+        self.hand.nearest_finger(&at).filter(|(_, distance)| *distance < NEAR).map(|_| at)
+    }
+
+    /// Where in another picture a point of this one (root frame) is that is still, and how the hand's motion would move it there, px.
+    pub(super) fn still_and_motion(
+        &self,
+        at: &Point3<f64>,
+        other: &Self,
+    ) -> Option<(Point2<f64>, Vector2<f64>)> {
+        let still = other.px(at)?;
+        let carried = other.hand.root_from_hand * (self.hand.root_from_hand.inverse() * at);
+        Some((still, other.px(&carried)? - still))
+    }
+
+    /// By how much another picture is shifted against where the camera's known motion would bring it, px.
+    pub(super) fn shift_of(&self, other: &Self) -> Vector2<f64> {
+        let other_from_this = other.root_from_left.inverse() * self.root_from_left;
+        let pair = |(x, y): (u32, u32)| {
+            let (x, y) = (x * GRID, y * GRID);
+            let px = Point2::new(f64::from(x), f64::from(y));
+            let depth = f64::from(self.depth.at(x, y));
+            if depth == 0.0 || self.hides(&px) {
+                return None;
+            }
+            let there =
+                self.camera.project(&(other_from_this * Point3::from(self.camera.ray(&px) * depth)))?;
+            (!other.hides(&there)).then(|| (Point2::new(x as i32, y as i32), there))
+        };
+        let grid = Region::whole(self.camera.width / GRID, self.camera.height / GRID);
+        align(&self.left, &other.left, &grid.pixels().filter_map(pair).collect::<Vec<_>>())
+    }
+}
+
+/// The smallest depth within so many pixels along both axes: of what is in front, m.
+fn nearest_depth(depth: &DepthImage, (x, y): (u32, u32), within: u32) -> Option<f64> {
+    let offsets = [0, within, 2 * within];
+    let all = offsets.iter().flat_map(|dy| offsets.iter().map(move |dx| (dx, dy)));
+    let at =
+        |(dx, dy): (&u32, &u32)| Some(depth.at((x + dx).checked_sub(within)?, (y + dy).checked_sub(within)?));
+    all.filter_map(at).filter(|z| *z > 0.0).min_by(f32::total_cmp).map(f64::from)
+}
+
+impl OwnHand {
+    /// The middle between its fingers, root frame.
+    fn middle_of_fingers(&self) -> Point3<f64> {
+        let sum: Vector3<f64> = self.fingers.iter().map(|finger| finger.part.middle().coords).sum();
+        Point3::from(sum / self.fingers.len().max(1) as f64)
+    }
+}
