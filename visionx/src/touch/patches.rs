@@ -174,7 +174,7 @@ mod tests {
     fn pattern(shift: Vector2<f64>) -> RgbImage {
         RgbImage::painted(80, 60, |x, y| {
             let (x, y) = (f64::from(x) - shift.x, f64::from(y) - shift.y);
-            let level = 120.0 + 50.0 * (x / 5.0).sin() + 40.0 * (y / 4.0 + x / 9.0).cos();
+            let level = 120.0 + 50.0 * libm::sin(x / 5.0) + 40.0 * libm::cos(y / 4.0 + x / 9.0);
             [level as u8, (level * 0.9) as u8, (level * 0.6) as u8]
         })
     }
