@@ -20,7 +20,7 @@ use crate::motions::failed;
 use crate::surface::Surface;
 
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
-const VISIBLE: f64 = 0.55;
+const VISIBLE: f64 = 0.35;
 /// Of a hand's marker, as much as this.
 const MARKER_VISIBLE: f64 = 0.8;
 /// The weight of a new detection.
@@ -126,7 +126,8 @@ impl BothSeen {
         };
         let hands = [seen_hand(first, one)?, seen_hand(second, other)?];
         let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
-        let step = ObjectStep::new(localizer, THING).level_for(mounting.rotation());
+        let localizer = localizer.standing_on(surface.rotation());
+        let step = ObjectStep::new(localizer, THING).following(shown);
         let mut steps: Vec<Box<dyn StereoStep>> = vec![Box::new(step)];
         for (limb, name) in [first, second].into_iter().zip(HANDS) {
             let marker = marker(model, limb)?;

@@ -41,9 +41,11 @@ impl Plant {
         for arm in robots.iter_mut().flat_map(|robot| &mut robot.arms) {
             let ArmWithHand { hand, pad: Some(padded), .. } = arm else { continue };
             let tcp = hand.moving(&physics.bodies);
+            let face = tcp.pose * padded.mounted.middle;
             let far = |object: &Object| {
                 let at = convert::to_pose(physics.bodies[object.handle].position());
-                object.cuboid.map(|_| (at.translation.vector - tcp.pose.translation.vector).norm())
+                let beyond = |half: Vector3<f64>| at.inverse_transform_point(&face).coords.abs() - half;
+                object.cuboid.map(|half| beyond(half).sup(&Vector3::zeros()).norm())
             };
             let boxes = objects.iter().enumerate().filter_map(|(i, object)| Some((i, far(object)?)));
             let Some((nearest, _)) = boxes.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
