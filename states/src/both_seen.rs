@@ -22,7 +22,7 @@ use crate::surface::Surface;
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
 const VISIBLE: f64 = 0.35;
 /// Of a hand's marker, as much as this.
-const MARKER_VISIBLE: f64 = 0.8;
+const MARKER_VISIBLE: f64 = 0.95;
 /// The weight of a new detection.
 const WEIGHT: f64 = 0.3;
 /// Where the cameras turn faster than this, rad/s, the errors of stamps count: such a frame shows no hand.
@@ -41,7 +41,7 @@ pub(crate) const LOST_AFTER: f64 = 3.0;
 const APART_FOR: f64 = 1.5;
 /// A hand is in view when it is this far from the border of the left picture, rad: its marker is in the right one then, too. While the
 /// mounting is not known, it has to be further.
-const IN_VIEW: [f64; 2] = [0.25, 0.15];
+const IN_VIEW: [f64; 2] = [0.25, 0.21];
 /// Between the thing and a hand, so many places to look at are tried.
 const PLACES: usize = 20;
 

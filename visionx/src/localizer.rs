@@ -88,6 +88,11 @@ const BORDER_SIGMA_PX: f64 = 0.35;
 /// From a fit's information to its covariance, px². The factor was measured on rendered scenes: errors of neighbouring border points are
 /// correlated, and the surface is not quite level.
 const BORDER_VARIANCE: f64 = 15.0 * BORDER_SIGMA_PX * BORDER_SIGMA_PX;
+/// How far roll and pitch of what is followed go from one frame to the next, rad: where only edges along the eyes' baseline are seen, the
+/// images hardly tell them from its distance.
+const TILT_SIGMA: f64 = 0.003;
+/// By how much a surface, or the cameras, may be tilted otherwise than is believed, rad.
+const SURFACE_SIGMA: f64 = 0.08;
 /// How far the outline of what is followed may be from where it is expected, round by round, px.
 const FOLLOWED_PX: [f64; 10] =
     [20.0, 14.0, 10.0, 7.0, 5.0, 3.5, BORDER_REACH_PX, BORDER_REACH_PX, BORDER_REACH_PX, BORDER_REACH_PX];
@@ -158,15 +163,26 @@ impl ObjectLocalizer {
             Self::eye(left.first()?, &left, &frame.left, radius_px),
             Self::eye(right.first()?, &right, &frame.right, radius_px),
         ];
+        self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root).filter(Fit::convinces).map(Fit::estimate)
+    }
+
+    /// The box about where it is expected (root frame), with roll and pitch up to about `tilt` rad from those.
+    fn tilted(
+        &self,
+        eyes: &[Eye; 2],
+        expected: &Isometry3<f64>,
+        tilt: f64,
+        left_from_root: &Isometry3<f64>,
+    ) -> Option<Fit> {
         let pose = |by: &Vector6<f64>| moved(expected, by);
         let outlines = |by: &Vector6<f64>| self.outlines_at(&(left_from_root * pose(by)));
         let steps = Vector6::new(2e-4, 2e-4, 2e-4, 1e-3, 1e-3, 1e-3);
-        let prior = Vector6::new(1e3, 1e3, 1e3, 30.0, 30.0, 30.0);
-        let (by, information) =
-            on_the_border(outlines, (Vector6::zeros(), steps, prior), &eyes, &FOLLOWED_PX);
+        let tilt = tilt.powi(-2) * BORDER_VARIANCE / BORDER_SIGMA_PX.powi(2);
+        let prior = Vector6::new(1e3, 1e3, 1e3, tilt, tilt, 30.0);
+        let (by, information) = on_the_border(outlines, (Vector6::zeros(), steps, prior), eyes, &FOLLOWED_PX);
         let covariance = information.try_inverse().map_or(Matrix6::identity(), |i| i * BORDER_VARIANCE);
         let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        self.judge((pose(&by), covariance), outlines(&by)?, &eyes).filter(Fit::convinces).map(Fit::estimate)
+        self.judge((pose(&by), covariance), outlines(&by)?, eyes)
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -227,8 +243,12 @@ impl ObjectLocalizer {
         let (pose, covariance) = self.refine(best?.0, eyes, &left_from_surface);
         let turn = self.surface.to_rotation_matrix();
         let covariance = turn * covariance.fixed_view::<3, 3>(0, 0) * turn.transpose();
-        let upright = isometry(&Pose4::new(pose.x, pose.y, pose.z, half_turn(pose.w)));
-        self.judge((self.surface * upright, covariance), outlines(&pose)?, eyes)
+        let upright = self.surface * isometry(&Pose4::new(pose.x, pose.y, pose.z, half_turn(pose.w)));
+        let fit = self.judge((upright, covariance), outlines(&pose)?, eyes).filter(Fit::convinces);
+        // The surface may be tilted otherwise than is believed, as where the cameras are.
+        fit.or_else(|| {
+            self.tilted(eyes, &upright, SURFACE_SIGMA, &(left_from_surface * self.surface.inverse()))
+        })
     }
 
     /// The silhouettes in both images.
@@ -329,6 +349,7 @@ fn on_the_border<const N: usize>(
             }
         }
         information = jtj + prior;
+        jtr += prior * (pose - start);
         let Some(inverse) = information.try_inverse() else { break };
         let step = inverse * jtr;
         pose -= step.map(|s| s.clamp(-0.02, 0.02));
@@ -481,7 +502,7 @@ mod tests {
     fn a_box_that_the_pictures_cut_off_is_followed_with_its_tilt() {
         let size = Vector3::new(0.7, 0.3, 0.03);
         let localizer = ObjectLocalizer::new(CALIBRATION, size, YELLOW);
-        for (x, yaw, tilt) in [(0.0, 0.1, [0.02, -0.03]), (0.45, -0.15, [-0.03, 0.02])] {
+        for (x, yaw, tilt) in [(-0.2, 0.1, [0.02, -0.03]), (0.7, -0.15, [-0.03, 0.02])] {
             let tilt = UnitQuaternion::from_euler_angles(tilt[0], tilt[1], 0.0);
             let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
             let root_from_block = Isometry3::from_parts(Translation3::new(x, 0.55, 0.93), tilt * turned);

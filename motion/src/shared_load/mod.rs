@@ -22,6 +22,9 @@ use crate::straight_line::LinePoint;
 /// Contacts that are nearer to each other than this have no line between them, m.
 const LEAST_APART: f64 = 0.01;
 
+/// How much more a hand presses than with what it carries along the load's side over the friction, where both share the load unequally.
+const FIRM: f64 = 1.15;
+
 constants! {
     /// The constants of a [`SharedLoad`].
     pub struct SharedLoadConfig {
@@ -31,17 +34,17 @@ constants! {
         most_squeeze: f64 = 35.0, POSITIVE;
         /// The friction on which it relies, ...
         friction: f64 = 0.6, POSITIVE;
-        /// ... and how much more a hand presses than with what it carries along the load's side over this.
+        /// ... and how much more the hands press than with half of the load over this.
         margin: f64 = 1.5, 1.0..=10.0;
         /// A load that would slip in the largest squeeze, without the margin, for this long is about to be lost, s.
         slips_after: f64 = 0.3, 0.0..=60.0;
         /// How fast the wanted squeeze changes, N/s.
-        squeeze_rate: f64 = 40.0, POSITIVE;
+        squeeze_rate: f64 = 80.0, POSITIVE;
         /// Closing speed of each hand for a missing newton, m/s/N. With contacts of the stiffness K, the squeeze settles with the
         /// rate K times this; it has to be slower than the drives.
-        gain: f64 = 4e-4, GAIN;
+        gain: f64 = 7e-4, GAIN;
         /// Largest closing speed of each hand, m/s.
-        fastest: f64 = 0.02, POSITIVE;
+        fastest: f64 = 0.04, POSITIVE;
         /// How far each hand yields along the load's side for a newton of internal force, m/N.
         compliance: f64 = 5e-4, 0.0..=1.0;
         /// How far each hand turns for a newton metre of internal moment at its contact, rad/(N m).
@@ -262,7 +265,9 @@ impl SharedLoad {
         // Along this line the squeeze is kept; in all other directions the hands yield.
         let (line, needed) = match self.holding {
             Holding::Pressing => {
-                let needed = c.squeeze.max(least * c.margin).min(c.most_squeeze);
+                // Half of the load with the margin, and what each hand really carries with a small one.
+                let shared = c.margin * forces.external.norm() / (2.0 * c.friction);
+                let needed = c.squeeze.max(shared).max(FIRM * least).min(c.most_squeeze);
                 (load_from_root * forces.line.into_inner(), needed)
             }
             Holding::Gripping => (Vector3::zeros(), 0.0),

@@ -444,6 +444,28 @@ mod tests {
     }
 
     #[test]
+    fn a_squeeze_that_is_not_the_asked_one_is_found_but_not_in_a_shove() {
+        let (mut world, mut log) = carried(0.0, 0.0);
+        for (stamp, load, _) in &mut log.pressed {
+            if (2_000_000_000..2_300_000_000).contains(stamp) {
+                load.hands.iter_mut().for_each(|hand| hand.force.x *= 1.6);
+            }
+        }
+        let ended = |at| (at, Milestone::CarryingEnded { weight_n: 19.0 });
+        let marks = [(1_000_000_000, Milestone::CarryingStarted), ended(1_200_000_000), ended(3_400_000_000)];
+        let rms = |world: &World| {
+            let own = measure(&Run::new(world, &log, &marks, &[])).unwrap();
+            own["squeeze_rms_n"].as_f64().unwrap()
+        };
+        assert!(rms(&world) > 5.0, "{}", rms(&world));
+        let start = WorldEvent::Start;
+        world.disturbances =
+            vec![Disturbance { after: start, at: 2.0, duration: 0.2, ..Disturbance::default() }];
+        // 25 N, and 1.5 * 19.62 N / (2 * 0.6) are asked.
+        assert!((rms(&world) - 0.475).abs() < 1e-3, "{}", rms(&world));
+    }
+
+    #[test]
     fn a_tilt_and_a_hard_landing_are_found() {
         let missed = asks(&figures(0.2, 40.0)).into_iter().filter(|f| f.passed() == Some(false));
         let missed: Vec<String> = missed.map(|f| f.name).collect();

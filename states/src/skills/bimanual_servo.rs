@@ -29,7 +29,7 @@ const GOES_BACK: (f64, f64, usize) = (0.08, 0.8, 3);
 /// Where the hands wait for each other they need to be this much less exact.
 const WAITING: f64 = 3.0;
 /// For how long both hands have to be there, s, and how old what was seen of them may be then, s.
-const HOLD: f64 = 0.15;
+const HOLD: f64 = 0.35;
 const FRESH: f64 = 1.5;
 /// How long it takes both hands to come down, s.
 const COMES_DOWN: f64 = 1.6;
