@@ -194,12 +194,28 @@ impl ObjectLocalizer {
     ) -> Option<(Point3<f64>, f64)> {
         let camera = &self.calibration.camera;
         let radius_m = 0.5 * self.size.norm();
-        let point = self.calibration.triangulate(&l.centroid, &r.centroid)?;
+        let point = self.calibration.triangulate(&l.centroid, &self.counterpart(l, r))?;
         let radius_px = radius_m * camera.focal / point.z;
         let rows = (l.centroid.y - r.centroid.y).abs();
         let fits = |c: &Component| f64::from(c.area) < 1.3 * PI * radius_px * radius_px;
         let plausible = (0.1..5.0).contains(&point.z) && rows < 2.0 + 0.5 * radius_px && fits(l) && fits(r);
         plausible.then(|| (surface_from_left * point, radius_px))
+    }
+
+    /// Where the right image shows what the left one shows at the centroid of a component. Where the border of a picture cuts it off, that
+    /// is not the other's centroid: the side that is whole in both tells.
+    fn counterpart(&self, l: &Component, r: &Component) -> Point2<f64> {
+        let width = self.calibration.camera.width;
+        let cut = |side: fn(&Component) -> u32, border: u32| side(l) == border || side(r) == border;
+        let (left, right): (fn(&Component) -> u32, fn(&Component) -> u32) =
+            (|c| c.bounds.x, |c| c.bounds.x + c.bounds.width);
+        let whole = match (cut(left, 0), cut(right, width)) {
+            (true, false) => right,
+            (false, true) => left,
+            _ => return r.centroid,
+        };
+        let disparity = f64::from(whole(l)) - f64::from(whole(r));
+        Point2::new(l.centroid.x - disparity, (l.centroid.y + r.centroid.y) / 2.0)
     }
 
     /// The observation around a component: the component with the pieces near it, and the surroundings.
@@ -502,18 +518,23 @@ mod tests {
     fn a_box_that_the_pictures_cut_off_is_followed_with_its_tilt() {
         let size = Vector3::new(0.7, 0.3, 0.03);
         let localizer = ObjectLocalizer::new(CALIBRATION, size, YELLOW);
-        for (x, yaw, tilt) in [(-0.2, 0.1, [0.02, -0.03]), (0.7, -0.15, [-0.03, 0.02])] {
+        for (x, yaw, tilt) in [(-0.2, 0.1, [0.02, -0.03]), (0.95, -0.15, [-0.03, 0.02])] {
             let tilt = UnitQuaternion::from_euler_angles(tilt[0], tilt[1], 0.0);
             let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
             let root_from_block = Isometry3::from_parts(Translation3::new(x, 0.55, 0.93), tilt * turned);
             let scene = [table(TABLE), Thing::Block { root_from_block, size, color: YELLOW }];
             let frame = frame(&scene, 0, 4);
             let expected = Isometry3::new(Vector3::new(x + 0.015, 0.54, 0.93), Vector3::z() * (yaw + 0.03));
+            // From frame to frame its tilt is found.
+            let follow = |at: Isometry3<f64>, _| localizer.follow(&frame, &at).unwrap().root_from_object;
+            let expected = (0..4).fold(expected, follow);
             let found = localizer.follow(&frame, &expected).unwrap();
             assert!(found.visible < 0.85, "{}", found.visible);
             let off = root_from_block.inverse() * found.root_from_object;
             assert!(off.translation.vector.norm() < 0.004 && off.rotation.angle() < 0.01, "{x}: {off}");
-            // What covers it and what is elsewhere are no such box.
+            // It is found without an expectation, too.
+            let found = localizer.clone().standing_on(tilt).localize(&frame).unwrap().root_from_object;
+            assert!((found.inverse() * root_from_block).translation.vector.norm() < 0.004, "{x}: {found}");
             let far = Translation3::new(0.0, 0.3, 0.0) * root_from_block;
             assert_eq!(localizer.follow(&frame, &far), None);
         }
