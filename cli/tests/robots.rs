@@ -158,7 +158,7 @@ fn keep_ellipse(store: &Path) {
     let samples: Vec<PhaseSample> = (0..200)
         .map(|k| {
             let phase = TAU * f64::from(k) / 200.0;
-            let (sin, cos) = phase.sin_cos();
+            let (sin, cos) = libm::sincos(phase);
             PhaseSample {
                 phase,
                 y: vec![0.28 + 0.05 * cos, 0.53 + 0.03 * sin, 1.05],

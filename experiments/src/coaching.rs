@@ -116,7 +116,7 @@ impl Coaching {
         within("frequency", self.frequency, 0.01, 0.125 / self.dt)?;
         within("start", self.start, 1.0 / self.frequency, 600.0)?;
         within("seconds", self.seconds, self.start + 1.0 / self.frequency, 3600.0)?;
-        within("d", self.d[0].hypot(self.d[1]), 1e-9, 1e9)
+        within("d", libm::hypot(self.d[0], self.d[1]), 1e-9, 1e9)
     }
 
     fn omega(&self) -> f64 {
@@ -135,7 +135,7 @@ impl Coaching {
     /// Joint angles of the demonstration at a phase, rad.
     fn demonstrated(&self, phase: f64) -> Result<Vector3<f64>, ExperimentError> {
         let sense = if self.direction == Direction::Ccw { 1.0 } else { -1.0 };
-        let point = self.centre() + self.radius * Vector2::new(phase.cos(), sense * phase.sin());
+        let point = self.centre() + self.radius * Vector2::new(libm::cos(phase), sense * libm::sin(phase));
         let redundancy =
             self.posture.map_or(Redundancy::LastLink(self.psi), |p| Redundancy::NearestTo(Vector3::from(p)));
         self.arm().inverse(point, redundancy).ok_or_else(|| {

@@ -85,9 +85,9 @@ impl Demonstration {
         let (w, p) = (self.omega, self.omega * t);
         let (a, b) = (self.a[d], self.b[d]);
         [
-            self.center[d] + a * p.sin() + b * (2.0 * p).cos(),
-            w * (a * p.cos() - 2.0 * b * (2.0 * p).sin()),
-            -w * w * (a * p.sin() + 4.0 * b * (2.0 * p).cos()),
+            self.center[d] + a * libm::sin(p) + b * libm::cos(2.0 * p),
+            w * (a * libm::cos(p) - 2.0 * b * libm::sin(2.0 * p)),
+            -w * w * (a * libm::sin(p) + 4.0 * b * libm::cos(2.0 * p)),
         ]
     }
 

@@ -101,7 +101,7 @@ impl DualArm {
 fn plot(epochs: &[Value], sections: &[Section]) -> String {
     let line = |label: &str, colour: u8, name: &str, scale: f64| {
         let errors = epochs.iter().filter_map(|epoch| epoch[name].as_f64());
-        let points = errors.zip(1..).map(|(error, n)| [f64::from(n), (scale * error).log10()]).collect();
+        let points = errors.zip(1..).map(|(error, n)| [f64::from(n), libm::log10(scale * error)]).collect();
         Curve::new(label, points).looking(Look::Colour(colour))
     };
     let falls = vec![

@@ -4,10 +4,11 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{SurfaceAdaptation, SurfaceConfig};
+use armarium_values::random::StandardNormal;
 use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use rand::SeedableRng as _;
+use rand::distr::Distribution as _;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};
@@ -94,10 +95,10 @@ impl Force {
 
     /// Height of the table below the wiping motion at a phase, m.
     fn table_height(&self, phase: f64) -> f64 {
-        let x = self.amplitude[0] * phase.sin();
-        let y = self.amplitude[1] * (2.0 * phase + self.phase).sin();
+        let x = self.amplitude[0] * libm::sin(phase);
+        let y = self.amplitude[1] * libm::sin(2.0 * phase + self.phase);
         let from_bump = (x - self.bump_at[0]).powi(2) + (y - self.bump_at[1]).powi(2);
-        self.tilt[0] * x + self.tilt[1] * y + self.bump * (-from_bump / self.bump_width).exp()
+        self.tilt[0] * x + self.tilt[1] * y + self.bump * libm::exp(-from_bump / self.bump_width)
     }
 
     fn period(&self) -> usize {
@@ -176,7 +177,10 @@ impl Force {
             ..panel(
                 "cycle",
                 "log10 of the RMS force error, N",
-                vec![Curve::new("", rms.iter().zip(1..).map(|(r, n)| [f64::from(n), r.log10()]).collect())],
+                vec![Curve::new(
+                    "",
+                    rms.iter().zip(1..).map(|(r, n)| [f64::from(n), libm::log10(*r)]).collect(),
+                )],
             )
         };
         let row = |panel| PanelRow { height: 260.0, panels: vec![panel] };

@@ -157,7 +157,7 @@ impl HumanoidCoaching {
         let count = 360;
         let step = TAU / count as f64;
         let mut angle = |k: usize| {
-            let (sin, cos) = (step * k as f64).sin_cos();
+            let (sin, cos) = libm::sincos(step * k as f64);
             let mut x = self.centre();
             x[plane[0]] += self.radius * cos;
             x[plane[1]] += self.radius * sin;

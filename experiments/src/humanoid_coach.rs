@@ -2,9 +2,10 @@
 //! by a camera that was calibrated to the robot with a few point pairs.
 
 use armarium_motion::{CoachArm, CoachingCommand, nearer_hand, rigid_fit};
+use armarium_values::random::StandardNormal;
 use nalgebra::{Isometry3, Point3, Vector3};
+use rand::distr::Distribution as _;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 
 use super::error::ExperimentError;
 

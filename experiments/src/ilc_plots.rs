@@ -108,7 +108,7 @@ impl Ilc {
         let error = panel("time over all epochs, s", "height error, mm", vec![Curve::new("", end_to_end)]);
         let line = |label: &str, colour: u8, of: &dyn Fn(&Epoch) -> f64| {
             let points =
-                learning.epochs.iter().zip(1..).map(|(e, n)| [f64::from(n), of(e).log10()]).collect();
+                learning.epochs.iter().zip(1..).map(|(e, n)| [f64::from(n), libm::log10(of(e))]).collect();
             Curve::new(label, points).looking(Look::Colour(colour))
         };
         let falls = panel(

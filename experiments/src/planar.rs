@@ -25,7 +25,7 @@ fn angles(q: &Vector3<f64>) -> Vector3<f64> {
 impl PlanarArm {
     /// The position of the last link's end, m, for joint angles `q`, rad.
     pub(crate) fn end(&self, q: &Vector3<f64>) -> Vector2<f64> {
-        let link = |(a, l): (&f64, &f64)| Vector2::new(l * a.cos(), l * a.sin());
+        let link = |(a, l): (&f64, &f64)| Vector2::new(l * libm::cos(*a), l * libm::sin(*a));
         angles(q).iter().zip(&self.links).map(link).sum()
     }
 
@@ -33,7 +33,7 @@ impl PlanarArm {
     pub(crate) fn jacobian(&self, q: &Vector3<f64>) -> Matrix2x3<f64> {
         let angles = angles(q);
         let column = |from: usize| -> Vector2<f64> {
-            (from..3).map(|i| self.links[i] * Vector2::new(-angles[i].sin(), angles[i].cos())).sum()
+            (from..3).map(|i| self.links[i] * Vector2::new(-libm::sin(angles[i]), libm::cos(angles[i]))).sum()
         };
         Matrix2x3::from_columns(&[column(0), column(1), column(2)])
     }
@@ -48,13 +48,13 @@ impl PlanarArm {
 
     fn with_last_link(&self, x: Vector2<f64>, angle: f64) -> Option<Vector3<f64>> {
         let [a, b, c] = self.links;
-        let wrist = x - c * Vector2::new(angle.cos(), angle.sin());
+        let wrist = x - c * Vector2::new(libm::cos(angle), libm::sin(angle));
         let cosine = (wrist.norm_squared() - a * a - b * b) / (2.0 * a * b);
         if cosine.abs() > 1.0 {
             return None;
         }
-        let q2 = -cosine.acos();
-        let q1 = wrist.y.atan2(wrist.x) - (b * q2.sin()).atan2(a + b * q2.cos());
+        let q2 = -libm::acos(cosine);
+        let q1 = libm::atan2(wrist.y, wrist.x) - libm::atan2(b * libm::sin(q2), a + b * libm::cos(q2));
         Some(Vector3::new(q1, q2, angle - q1 - q2))
     }
 

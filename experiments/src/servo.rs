@@ -2,11 +2,12 @@
 //! camera mount or of measurement noise.
 
 use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
+use armarium_values::random::StandardNormal;
 use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::SeedableRng as _;
+use rand::distr::Distribution as _;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};

@@ -86,7 +86,7 @@ impl ContactFrame {
     pub fn touch(&mut self, dt: f64, force: &Vector3<f64>) -> Result<(), MotionError> {
         positive("dt", dt)?;
         vector("force", 3, force.as_slice())?;
-        self.force += (force - self.force) * (1.0 - (-dt / GUESS_S).exp());
+        self.force += (force - self.force) * (1.0 - libm::exp(-dt / GUESS_S));
         let Some(guess) = Unit::try_new(self.force, 1.0).filter(|_| self.way == 0.0) else { return Ok(()) };
         let angle = self.approach.angle(&guess);
         let share = if angle > GUESS_ANGLE { GUESS_ANGLE / angle } else { 1.0 };
@@ -108,7 +108,7 @@ impl ContactFrame {
             return Ok(());
         }
         self.way += step;
-        let kept = (-step / FADING).exp();
+        let kept = libm::exp(-step / FADING);
         let weight = kept * self.weight + step;
         let off = place - self.mean;
         self.scatter = kept * self.scatter + off * off.transpose() * (kept * self.weight * step / weight);
@@ -161,8 +161,9 @@ mod tests {
         let mut frame = ContactFrame::new(&Vector3::z()).unwrap();
         for k in 0..4000_u32 {
             let phase = f64::from(k) * 3e-3;
-            let sink = noise * (7.3 * phase).sin();
-            let place = Vector3::new(0.5 * sizes[0] * phase.cos(), 0.5 * sizes[1] * phase.sin(), sink);
+            let sink = noise * libm::sin(7.3 * phase);
+            let place =
+                Vector3::new(0.5 * sizes[0] * libm::cos(phase), 0.5 * sizes[1] * libm::sin(phase), sink);
             frame.wipe(&(surface * place + Vector3::new(0.3, 0.5, 1.0))).unwrap();
         }
         frame

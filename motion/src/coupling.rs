@@ -78,8 +78,8 @@ impl ObstacleAvoidance {
             return Vector3::zeros();
         };
         let angle = towards.angle(v);
-        let fade = (-towards.norm() / self.reach).exp();
-        let c = axis.cross(v) * (self.gamma * angle * (-self.beta * angle).exp() * fade);
+        let fade = libm::exp(-towards.norm() / self.reach);
+        let c = axis.cross(v) * (self.gamma * angle * libm::exp(-self.beta * angle) * fade);
         if c.iter().all(|c| c.is_finite()) { c } else { Vector3::zeros() }
     }
 }

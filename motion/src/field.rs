@@ -45,14 +45,14 @@ impl PotentialField {
         let speed = (0..n).map(|i| v[i] * v[i]).sum::<f64>().sqrt();
         let along: f64 = (0..n).map(|i| offset(i) * v[i]).sum();
         let cosine = along / (distance * speed);
-        let angle = if cosine.is_finite() { cosine.clamp(-1.0, 1.0).acos() } else { FRAC_PI_2 };
-        self.gamma * self.reach(distance) * (-self.beta.abs() * angle).exp()
+        let angle = if cosine.is_finite() { libm::acos(cosine.clamp(-1.0, 1.0)) } else { FRAC_PI_2 };
+        self.gamma * self.reach(distance) * libm::exp(-self.beta.abs() * angle)
     }
 }
 
 /// (16): 1 near the centre of the field, one half at `r_m`, 0 far from it.
 pub(crate) fn reach(eta: f64, r_m: f64, distance: f64) -> f64 {
-    1.0 / (1.0 + (eta * (distance - r_m)).exp())
+    1.0 / (1.0 + libm::exp(eta * (distance - r_m)))
 }
 
 /// One arm of the coach from a body tracker, in the robot's base frame, m.
@@ -141,13 +141,13 @@ mod tests {
         let ahead = field.strength(&[0.35, 0.0], &[0.0, 0.0], &[1.0, 0.0]);
         assert!((ahead - 50.0).abs() < 1e-9);
         let behind = field.strength(&[-0.35, 0.0], &[0.0, 0.0], &[1.0, 0.0]);
-        assert!((behind / ahead - (-8.0_f64).exp()).abs() < 1e-12);
+        assert!((behind / ahead - libm::exp(-8.0_f64)).abs() < 1e-12);
     }
 
     #[test]
     fn the_field_is_defined_where_the_angle_is_not() {
         let field = PotentialField::default();
-        let beside = (-4.0_f64).exp();
+        let beside = libm::exp(-4.0_f64);
         assert!(
             (field.strength(&[0.0; 3], &[0.0; 3], &[1.0, 0.0, 0.0]) / field.gamma / field.reach(0.0)
                 - beside)

@@ -39,7 +39,7 @@ impl FourierSeries {
     }
 
     fn tabulate(&mut self, phase: f64) {
-        let (sin, cos) = phase.sin_cos();
+        let (sin, cos) = libm::sincos(phase);
         let (mut s, mut c) = (0.0, 1.0);
         for k in 0..=self.harmonics {
             self.cosine[k] = c;
@@ -72,7 +72,7 @@ impl FourierSeries {
         }
         for c in 0..=self.harmonics {
             let k = c as f64;
-            let (sin, cos) = (k * phase).sin_cos();
+            let (sin, cos) = libm::sincos(k * phase);
             for d in 0..self.dims {
                 let (a, b) = self.weight(d, c);
                 let v = a * cos + b * sin;
@@ -161,9 +161,9 @@ impl FourierSeries {
     /// new phase = old phase - shift.
     pub(crate) fn anchor(&mut self, d: usize) -> f64 {
         let (a, b) = self.weight(d, 1);
-        let shift = b.atan2(a);
+        let shift = libm::atan2(b, a);
         for c in 1..=self.harmonics {
-            let (sin, cos) = (c as f64 * shift).sin_cos();
+            let (sin, cos) = libm::sincos(c as f64 * shift);
             for e in 0..self.dims {
                 let i = e * (self.harmonics + 1) + c;
                 let (a, b) = (self.alpha[i], self.beta[i]);

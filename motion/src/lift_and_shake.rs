@@ -35,10 +35,10 @@ impl LiftAndShake {
     pub fn at(&self, t: f64) -> [f64; 2] {
         let Self { lift, amplitude, phase, omega: w, duration } = *self;
         if t >= duration {
-            let (sin, cos) = (w * (t - duration) + phase).sin_cos();
+            let (sin, cos) = libm::sincos(w * (t - duration) + phase);
             return [lift + amplitude * sin, w * amplitude * cos];
         }
-        let (sin, cos) = phase.sin_cos();
+        let (sin, cos) = libm::sincos(phase);
         let [y, v, _] =
             rise([lift + amplitude * sin, w * amplitude * cos, -w * w * amplitude * sin], duration, t);
         [y, v]
@@ -52,9 +52,9 @@ pub fn rise(end: [f64; 3], duration: f64, t: f64) -> [f64; 3] {
     let c = [10.0 * y - 4.0 * v + 0.5 * a, 7.0 * v - 15.0 * y - a, 6.0 * y - 3.0 * v + 0.5 * a];
     let sum = |f: &dyn Fn(f64) -> f64| (3..6).zip(c).map(|(k, c)| c * f(f64::from(k))).sum::<f64>();
     [
-        sum(&|k| s.powf(k)),
-        sum(&|k| k * s.powf(k - 1.0)) / duration,
-        sum(&|k| k * (k - 1.0) * s.powf(k - 2.0)) / (duration * duration),
+        sum(&|k| libm::pow(s, k)),
+        sum(&|k| k * libm::pow(s, k - 1.0)) / duration,
+        sum(&|k| k * (k - 1.0) * libm::pow(s, k - 2.0)) / (duration * duration),
     ]
 }
 

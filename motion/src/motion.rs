@@ -241,7 +241,7 @@ impl MotionSwitch {
         size("dofs", self.centre.len(), running.dofs())?;
         self.elapsed += dt;
         let done = self.elapsed >= 12.0 * self.time_constant;
-        let share = if done { 1.0 } else { 1.0 - (-dt / self.time_constant).exp() };
+        let share = if done { 1.0 } else { 1.0 - libm::exp(-dt / self.time_constant) };
         approach(running.weights_mut(), &self.weights, share);
         approach(running.centre_mut(), &self.centre, share);
         let mut amplitude = [running.amplitude()];
@@ -285,7 +285,7 @@ mod tests {
         let mut dmp =
             PeriodicDmp::new(PeriodicDmpConfig { kernels, ..PeriodicDmpConfig::with_dofs(3) }).unwrap();
         let weights: Vec<f64> =
-            (0..3 * kernels).map(|i| (i as f64 * 0.7 + seed as f64).sin() * 0.8).collect();
+            (0..3 * kernels).map(|i| libm::sin(i as f64 * 0.7 + seed as f64) * 0.8).collect();
         dmp.set_weights(&weights).unwrap();
         dmp.set_centre(&[0.3, 0.5, 1.0]).unwrap();
         dmp
@@ -308,7 +308,7 @@ mod tests {
         assert!(loaded.orientation().is_none() && !text.contains("orientation"), "as it was stored before");
         let mut turning = PeriodicOrientationDmp::new(PeriodicDmpConfig::default()).unwrap();
         let tilt = |k: i32| {
-            nalgebra::UnitQuaternion::from_euler_angles(0.2 * (0.0628 * f64::from(k)).sin(), 0.1, 0.0)
+            nalgebra::UnitQuaternion::from_euler_angles(0.2 * libm::sin(0.0628 * f64::from(k)), 0.1, 0.0)
         };
         turning.learn_period(&(0..100).map(tilt).collect::<Vec<_>>()).unwrap();
         let turning = motion.clone().with_orientation(Some(turning));

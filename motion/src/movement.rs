@@ -150,7 +150,7 @@ mod tests {
                 let t = (k as f64 * dt - 0.3).clamp(0.0, 3.999);
                 let (i, part) = (t as usize, t.fract());
                 let [a, b] = [corners[i], corners[i + 1]].map(Vector3::from);
-                let share = 1.0 - (-dt / 0.12).exp();
+                let share = 1.0 - libm::exp(-dt / 0.12);
                 rounded[0] += (a + (b - a) * part - rounded[0]) * share;
                 let first = rounded[0];
                 rounded[1] += (first - rounded[1]) * share;

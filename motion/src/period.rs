@@ -263,11 +263,16 @@ mod tests {
         for period in [0.34, 0.8, 1.7, 3.3] {
             for rate in [60.0, 1000.0] {
                 let near = |ratio: f64| (ratio - 1.0).abs() < 0.02;
-                assert!(near(estimate(period, rate, |p| vec![p.sin()])), "sine {period} {rate}");
-                let eight = |p: f64| vec![0.5 * p.sin() + 0.87 * (2.0 * p).sin()];
+                assert!(near(estimate(period, rate, |p| vec![libm::sin(p)])), "sine {period} {rate}");
+                let eight = |p: f64| vec![0.5 * libm::sin(p) + 0.87 * libm::sin(2.0 * p)];
                 assert!(near(estimate(period, rate, eight)), "eight {period} {rate}");
-                let turned =
-                    |p: f64| vec![p.sin() + 0.7 * (2.0 * p).sin(), 0.6 * (2.0 * p).sin() - p.sin(), 1.0];
+                let turned = |p: f64| {
+                    vec![
+                        libm::sin(p) + 0.7 * libm::sin(2.0 * p),
+                        0.6 * libm::sin(2.0 * p) - libm::sin(p),
+                        1.0,
+                    ]
+                };
                 assert!(near(estimate(period, rate, turned)));
             }
         }

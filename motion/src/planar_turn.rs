@@ -13,7 +13,7 @@ pub fn planar_turn(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> f64 {
         from.iter().zip(to).map(|(a, b)| product(a, b)).sum()
     };
     let (across, along) = (sum(|a, b| a.perp(b)), sum(|a, b| a.dot(b)));
-    if across == 0.0 && along <= 0.0 { 0.0 } else { across.atan2(along) }
+    if across == 0.0 && along <= 0.0 { 0.0 } else { libm::atan2(across, along) }
 }
 
 #[cfg(test)]

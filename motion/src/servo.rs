@@ -169,7 +169,7 @@ impl PositionServo {
         if self.unseen > self.config.lost_after {
             return still(command.distance, command.angle, ServoStatus::Lost);
         }
-        let fade = (-dt / (0.2 * self.config.lost_after)).exp();
+        let fade = libm::exp(-dt / (0.2 * self.config.lost_after));
         command.linear *= fade;
         command.angular *= fade;
         command.rate *= fade;
@@ -189,7 +189,7 @@ impl PositionServo {
             return still(distance, angle, status);
         }
         let c = &self.config;
-        let gain = c.gain_far + (c.gain_near - c.gain_far) * (-error / c.gain_scale).exp();
+        let gain = c.gain_far + (c.gain_near - c.gain_far) * libm::exp(-error / c.gain_scale);
         let (linear, angular) = (-gain * t, -gain * turn);
         let scale = (c.max_linear / linear.norm()).min(c.max_angular / angular.norm()).min(1.0);
         let fresh = 1.0 - age / c.lost_after;

@@ -58,8 +58,8 @@ impl SurfaceCorrection {
         let n = self.weights.len() as f64;
         let (mut sum, mut weighted, mut slope_sum, mut slope_weighted) = (0.0, 0.0, 0.0, 0.0);
         for (i, w) in self.weights.iter().enumerate() {
-            let (sin, cos) = (phase - std::f64::consts::TAU * i as f64 / n).sin_cos();
-            let psi = (self.kernels.width() * (cos - 1.0)).exp();
+            let (sin, cos) = libm::sincos(phase - std::f64::consts::TAU * i as f64 / n);
+            let psi = libm::exp(self.kernels.width() * (cos - 1.0));
             let slope = -self.kernels.width() * sin * psi;
             sum += psi;
             weighted += psi * w;

@@ -132,7 +132,7 @@ fn steps_that_follow_a_signal_do_not_allocate_even_when_the_oscillator_starts() 
     let mut phase = 0.0_f64;
     let n = allocations_from_start(|| {
         phase += 0.02;
-        oscillator.update(0.004, &[phase.sin(), 0.3 * (2.0 * phase).cos()]).unwrap();
+        oscillator.update(0.004, &[libm::sin(phase), 0.3 * libm::cos(2.0 * phase)]).unwrap();
     });
     assert_eq!((n, oscillator.starts()), (0, 1), "oscillator");
 
@@ -141,7 +141,7 @@ fn steps_that_follow_a_signal_do_not_allocate_even_when_the_oscillator_starts() 
     let mut system = Synchronisation::new(config, OscillatorConfig::default(), primitive).unwrap();
     let n = allocations_from_start(|| {
         phase += 0.02;
-        system.step(0.004, &[phase.sin()]).unwrap();
+        system.step(0.004, &[libm::sin(phase)]).unwrap();
     });
     assert_eq!((n, system.oscillator().starts()), (0, 1), "synchronisation");
 

@@ -14,26 +14,26 @@ const PERIOD: usize = 200;
 
 fn forward(q: &[f64]) -> Vector2<f64> {
     let (a, b, c) = (q[0], q[0] + q[1], q[0] + q[1] + q[2]);
-    Vector2::new(a.cos() + b.cos() + c.cos(), a.sin() + b.sin() + c.sin())
+    Vector2::new(libm::cos(a) + libm::cos(b) + libm::cos(c), libm::sin(a) + libm::sin(b) + libm::sin(c))
 }
 
 fn jacobian(q: &[f64]) -> Matrix2x3<f64> {
     let angles = [q[0], q[0] + q[1], q[0] + q[1] + q[2]];
     Matrix2x3::from_fn(|row, column| {
-        angles[column..].iter().map(|a| if row == 0 { -a.sin() } else { a.cos() }).sum()
+        angles[column..].iter().map(|a| if row == 0 { -libm::sin(*a) } else { libm::cos(*a) }).sum()
     })
 }
 
 /// Closed form with the last link at pi/4 and the elbow branch q2 < 0.
 fn inverse(x: Vector2<f64>) -> Vector3<f64> {
-    let wrist = x - Vector2::new(FRAC_PI_4.cos(), FRAC_PI_4.sin());
-    let q2 = -((wrist.norm_squared() - 2.0) / 2.0).acos();
-    let q1 = wrist.y.atan2(wrist.x) - q2.sin().atan2(1.0 + q2.cos());
+    let wrist = x - Vector2::new(libm::cos(FRAC_PI_4), libm::sin(FRAC_PI_4));
+    let q2 = -libm::acos((wrist.norm_squared() - 2.0) / 2.0);
+    let q1 = libm::atan2(wrist.y, wrist.x) - libm::atan2(libm::sin(q2), 1.0 + libm::cos(q2));
     Vector3::new(q1, q2, FRAC_PI_4 - q1 - q2)
 }
 
 fn circle(phase: f64, sense: f64) -> Vector2<f64> {
-    Vector2::new(1.8 + 0.7 * phase.cos(), 0.2 + 0.7 * sense * phase.sin())
+    Vector2::new(1.8 + 0.7 * libm::cos(phase), 0.2 + 0.7 * sense * libm::sin(phase))
 }
 
 struct Outcome {

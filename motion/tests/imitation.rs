@@ -5,10 +5,10 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{DemonstrationSegmenter, DemonstrationStage, Imitation, SegmenterConfig};
+use armarium_values::random::StandardNormal;
 use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
 
 struct Coach {
     shape: &'static str,
@@ -23,11 +23,11 @@ impl Coach {
     fn path(&self, phase: f64) -> Vector3<f64> {
         let (a, b) = (0.5 * self.size[0], 0.5 * self.size[1]);
         let (x, y) = match self.shape {
-            "ellipse" => (a * phase.cos(), b * phase.sin()),
-            "eight" => (a * phase.sin(), b * (2.0 * phase).sin()),
-            _ => (a * phase.sin(), b * phase.sin()),
+            "ellipse" => (a * libm::cos(phase), b * libm::sin(phase)),
+            "eight" => (a * libm::sin(phase), b * libm::sin(2.0 * phase)),
+            _ => (a * libm::sin(phase), b * libm::sin(phase)),
         };
-        let (s, c) = self.turned.sin_cos();
+        let (s, c) = libm::sincos(self.turned);
         Vector3::new(0.28 + c * x - s * y, 0.53 + s * x + c * y, 1.15)
     }
 }
@@ -45,11 +45,10 @@ struct Outcome {
 
 fn learn(coach: &Coach, noise: f64, seed: u64) -> Outcome {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let normal = Normal::new(0.0, 1.0).unwrap();
     let (from, to) = (Vector3::new(0.20, 0.48, 1.15), Vector3::new(0.36, 0.58, 1.15));
     let mut periods = Vec::new();
     for _ in 0..15 {
-        periods.push((1.0 + coach.jitter * normal.sample(&mut random)) / coach.frequency);
+        periods.push((1.0 + coach.jitter * random.sample::<f64, _>(StandardNormal)) / coach.frequency);
     }
     let swipe_end = 1.0 + 1.5;
     let way = swipe_end + coach.pause;
@@ -82,7 +81,7 @@ fn learn(coach: &Coach, noise: f64, seed: u64) -> Outcome {
         if random.random::<f64>() < 0.08 {
             continue;
         }
-        let shake = Vector3::from_fn(|_, _| noise * normal.sample(&mut random));
+        let shake = Vector3::from_fn(|_, _| noise * random.sample::<f64, _>(StandardNormal));
         let seen = truth(t) + shake;
         let known = segmenter.observe(t, Point3::from(seen)).unwrap();
         if known.stage == DemonstrationStage::Periodic {

@@ -18,7 +18,7 @@ const DT: f64 = 0.002;
 fn circle(radius: f64) -> PeriodicDmp {
     let sample = |k: i32| {
         let phase = TAU * f64::from(k) / 200.0;
-        let (s, c) = phase.sin_cos();
+        let (s, c) = libm::sincos(phase);
         let by = |v: [f64; 3]| v.iter().map(|v| radius * v).collect();
         PhaseSample { phase, y: by([c, s, 0.0]), dy: by([-s, c, 0.0]), ddy: by([-c, -s, 0.0]) }
     };
@@ -31,7 +31,7 @@ fn circle(radius: f64) -> PeriodicDmp {
 fn reach(scale: f64) -> DiscreteDmp {
     let w = TAU / 2.0;
     let sample = |k: i32| {
-        let (t, (s, c)) = (f64::from(k) * 0.01, (w * f64::from(k) * 0.01).sin_cos());
+        let (t, (s, c)) = (f64::from(k) * 0.01, libm::sincos(w * f64::from(k) * 0.01));
         let of = |v: f64| vec![scale * v];
         TimeSample { t, y: of(0.5 - 0.5 * c), yd: of(0.5 * w * s), ydd: of(0.5 * w * w * c) }
     };
@@ -45,7 +45,7 @@ fn reach(scale: f64) -> DiscreteDmp {
 fn walk(scale: f64) -> DiscretePeriodicDmp {
     let height = |t: f64| {
         let s = t.min(1.0);
-        scale * (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s) + 0.2 * s * s * s * (TAU * t).sin())
+        scale * (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s) + 0.2 * s * s * s * libm::sin(TAU * t))
     };
     let shown: Vec<Vec<f64>> = (0..=2000).map(|k| vec![height(f64::from(k) * DT)]).collect();
     let mut dmp = DiscretePeriodicDmp::new(DiscretePeriodicConfig::with_dofs(1), TAU, 1.0).unwrap();
@@ -152,7 +152,7 @@ fn listened(amplitude: f64, start: f64, offset: f64) -> (f64, f64) {
     let mut phase = start;
     for _ in 0..10_000 {
         phase += TAU * 1.1 * DT;
-        let v = offset + 0.7 * phase.sin() + 0.3 * (2.0 * phase + 0.5).sin();
+        let v = offset + 0.7 * libm::sin(phase) + 0.3 * libm::sin(2.0 * phase + 0.5);
         oscillator.update(DT, &[amplitude * v]).unwrap();
     }
     ((oscillator.phase() - phase).rem_euclid(TAU), oscillator.frequency_hz())
@@ -220,7 +220,7 @@ fn learning_control_is_linear_in_its_errors() {
             dmp.restart();
             for k in 0..1500 {
                 let (mut e, t) = ([0.0], f64::from(k) * DT);
-                let force = scale * (t - f64::from(epoch)).sin();
+                let force = scale * libm::sin(t - f64::from(epoch));
                 FeedbackError::default().in_task_space(&[force], &[0.1 * force], &mut e).unwrap();
                 control.step(&mut dmp, TAU, &e).unwrap();
                 dmp.step(DT, TAU).unwrap();
@@ -250,7 +250,7 @@ fn wiped(stiff: f64, force: f64, pace: f64, ahead: f64) -> Vec<f64> {
     let (omega, dt, mut offset) = (3.0 * pace, 0.02 / pace, 0.0);
     let step = |k: i32| {
         let phase = omega * dt * f64::from(k);
-        let table = 0.004 * phase.sin() - 0.002;
+        let table = 0.004 * libm::sin(phase) - 0.002;
         offset =
             adaptation.step(dt, phase + ahead, omega, (stiff * (table - offset)).max(0.0)).unwrap().offset;
         offset

@@ -5,21 +5,22 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
+use armarium_values::random::StandardNormal;
 use rand::SeedableRng;
+use rand::distr::Distribution;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
 const DT: f64 = 0.001;
 
 fn signal(kind: &str, p: f64, normal: f64) -> f64 {
     match kind {
-        "sine" => p.sin(),
-        "harmonics3" => 0.6 * p.sin() + 0.3 * (2.0 * p + 0.4).cos() + 0.2 * (3.0 * p + 1.1).sin(),
-        "square" => p.sin().signum(),
-        "offset" => 0.5 + 0.5 * p.sin(),
-        "noise" => p.sin() + 0.2 * normal,
-        "step" => 0.7 * p.sin() + 0.3 * (2.0 * p + 0.5).sin(),
-        _ => 0.5 * p.sin() + 0.87 * (2.0 * p).sin(),
+        "sine" => libm::sin(p),
+        "harmonics3" => 0.6 * libm::sin(p) + 0.3 * libm::cos(2.0 * p + 0.4) + 0.2 * libm::sin(3.0 * p + 1.1),
+        "square" => libm::sin(p).signum(),
+        "offset" => 0.5 + 0.5 * libm::sin(p),
+        "noise" => libm::sin(p) + 0.2 * normal,
+        "step" => 0.7 * libm::sin(p) + 0.3 * libm::sin(2.0 * p + 0.5),
+        _ => 0.5 * libm::sin(p) + 0.87 * libm::sin(2.0 * p),
     }
 }
 

@@ -36,7 +36,7 @@ fn step(bencher: Bencher, amplitude: f64) {
     let mut now_ms = 0_u64;
     bencher.bench_local(|| {
         now_ms += 1;
-        let speed = amplitude * (now_ms as f64 * 2e-3).sin();
+        let speed = amplitude * libm::sin(now_ms as f64 * 2e-3);
         for (lease, limb) in leases.iter().zip(limbs) {
             let speeds: Vec<f64> = model.limb(limb).iter().map(|_| speed).collect();
             let _ = lease.command(&speeds);

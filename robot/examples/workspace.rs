@@ -36,7 +36,7 @@ fn worst_speed(jacobian: &Jacobian) -> f64 {
     let mut worst = f64::INFINITY;
     for k in 0..10 {
         let angle = f64::from(k) * std::f64::consts::FRAC_PI_8;
-        let d = if k < 8 { [angle.cos(), angle.sin(), 0.0] } else { [0.0, 0.0, 1.0] };
+        let d = if k < 8 { [libm::cos(angle), libm::sin(angle), 0.0] } else { [0.0, 0.0, 1.0] };
         let joint = &pinv * Vector6::new(d[0], d[1], d[2], 0.0, 0.0, 0.0);
         let peak = |t: f64| joint.iter().zip(&null).map(|(a, b)| (a + t * b).abs()).fold(0.0, f64::max);
         let (mut low, mut high) = (-6.0, 6.0);
@@ -57,7 +57,7 @@ fn ten_speed(ik: &mut DifferentialIk, q: &[f64]) -> f64 {
         let d = match k {
             8 => Vector3::z(),
             9 => -Vector3::z(),
-            _ => Vector3::new(angle.cos(), angle.sin(), 0.0),
+            _ => Vector3::new(libm::cos(angle), libm::sin(angle), 0.0),
         };
         let step = ik.step(q, &Twist { linear: d, angular: Vector3::zeros() }, None);
         worst = worst.min(if step.residual > 0.05 * step.scale { 0.0 } else { step.scale });
@@ -269,7 +269,7 @@ impl Search {
             let t = f64::from(k) * dt;
             let grow = (t / start).min(1.0);
             let spin = omega * (t - start).max(0.0);
-            let (s, c) = spin.sin_cos();
+            let (s, c) = libm::sincos(spin);
             let at = [grow * (offset[0] + radius * c), grow * (offset[1] + radius * s), 0.0];
             let error = pose_error(&self.model.link_pose(&q, self.tcp), &self.target(&found.choice, at));
             let feed = if t < start { Vector3::zeros() } else { Vector3::new(-s, c, 0.0) * radius * omega };

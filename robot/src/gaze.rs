@@ -77,7 +77,7 @@ impl Gaze {
         let axis = left.rotation * Vector3::z();
         let there = point.coords - between;
         let across = axis.cross(&there);
-        let angle = across.norm().atan2(axis.dot(&there));
+        let angle = libm::atan2(across.norm(), axis.dot(&there));
         across.try_normalize(1e-12).map_or_else(Vector3::zeros, |turn| turn * angle)
     }
 

@@ -156,7 +156,7 @@ impl WristEstimator {
         self.remember(in_sensor);
         let in_root = in_sensor.minus(self.bias).map(|v| pose.rotation * v);
         let poles = self.poles.get_or_insert([in_root; 2]);
-        let share = 1.0 - (-std::f64::consts::TAU * POLE_HZ * dt).exp();
+        let share = 1.0 - libm::exp(-std::f64::consts::TAU * POLE_HZ * dt);
         poles[0].toward(in_root, share);
         let first = poles[0];
         poles[1].toward(first, share);

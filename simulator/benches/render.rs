@@ -111,8 +111,8 @@ fn ball(triangles: u32) -> Shape {
             std::f64::consts::PI * f64::from(i) / f64::from(rings),
             std::f64::consts::TAU * f64::from(j) / f64::from(around),
         );
-        let across = polar.sin();
-        Point3::new(across * angle.cos(), across * angle.sin(), polar.cos()) * 0.15
+        let across = libm::sin(polar);
+        Point3::new(across * libm::cos(angle), across * libm::sin(angle), libm::cos(polar)) * 0.15
     };
     let vertices = (0..=rings).flat_map(|i| (0..around).map(move |j| point(i, j))).collect();
     let quads = (0..rings).flat_map(|i| (0..around).map(move |j| (i, j)));

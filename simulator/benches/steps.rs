@@ -31,7 +31,7 @@ fn measure(what: &str, mut step: impl FnMut(f64)) {
 
 /// Moves an arm to and fro, about the posture in which it begins.
 fn sway((arm, joints): &(Lease, usize), t: f64) {
-    let v = (2.0 * t).cos() * 0.3;
+    let v = libm::cos(2.0 * t) * 0.3;
     let speeds: Vec<f64> = (0..*joints).map(|joint| if joint % 2 == 0 { v } else { -v }).collect();
     let _ = arm.command(&speeds);
 }
@@ -73,7 +73,7 @@ fn wiping() {
     let start = target.clone();
     measure("physics, one arm rubs on the table", |t| {
         for (k, &joint) in joints.iter().enumerate() {
-            target[joint] = start[joint] + 0.01 * (3.0 * t + k as f64).sin();
+            target[joint] = start[joint] + 0.01 * libm::sin(3.0 * t + k as f64);
         }
         plant.step(&[(&target, &still)], &External::default());
     });
@@ -116,7 +116,7 @@ fn carrying() {
     let still = vec![0.0; target.len()];
     measure("physics, both arms and a box between them", |t| {
         for (k, &joint) in joints.iter().enumerate() {
-            target[joint] = start[joint] + 0.002 * (3.0 * t + k as f64).sin();
+            target[joint] = start[joint] + 0.002 * libm::sin(3.0 * t + k as f64);
         }
         plant.step(&[(&target, &still)], &External::default());
     });

@@ -174,7 +174,7 @@ impl ElasticFoundation {
         let top_from_object = table.root_from_top().inverse() * pose;
         let object_from_top = top_from_object.inverse();
         let low = top_from_object * Point3::new(0.0, 0.0, -self.half.z);
-        let radius = self.half.x.hypot(self.half.y) + 0.01;
+        let radius = libm::hypot(self.half.x, self.half.y) + 0.01;
         let [nx, ny] = self.counts.map(|c| c as f64);
         dirt.mark([low.x, low.y], radius, |x, y| {
             let p = object_from_top * Point3::new(x, y, low.z);
@@ -271,7 +271,7 @@ mod tests {
                 position += velocity * DT;
             }
             let slope = 15f64.to_radians();
-            let expected = 9.81 * (slope.sin() - mu * slope.cos()) * 0.3;
+            let expected = 9.81 * (libm::sin(slope) - mu * libm::cos(slope)) * 0.3;
             if slides {
                 assert!((velocity.norm() / expected - 1.0).abs() < 0.1, "{} {expected}", velocity.norm());
             } else {

@@ -89,7 +89,7 @@ impl Leading {
         let begins = self.reaching + SETTLE;
         let lets_go = begins + self.way.duration() + self.holding;
         let along = self.way.at(age - begins);
-        let share = 1.0 - (-dt / ROUND).exp();
+        let share = 1.0 - libm::exp(-dt / ROUND);
         self.rounded[0] += (along - self.rounded[0]) * share;
         let first = self.rounded[0];
         self.rounded[1] += (first - self.rounded[1]) * share;

@@ -85,8 +85,8 @@ mod tests {
     fn path(dent: f64) -> Vec<Vector3<f64>> {
         let point = |k: u32| {
             let angle = TAU * f64::from(k) / 2000.0;
-            let bump = if k >= 6000 { dent * (-(2.0 - 2.0 * angle.cos()) / 0.02).exp() } else { 0.0 };
-            Vector3::new(angle.cos(), angle.sin(), 0.0) * (0.1 + bump)
+            let bump = if k >= 6000 { dent * libm::exp(-(2.0 - 2.0 * libm::cos(angle)) / 0.02) } else { 0.0 };
+            Vector3::new(libm::cos(angle), libm::sin(angle), 0.0) * (0.1 + bump)
         };
         (0..12_001).map(point).collect()
     }

@@ -7,10 +7,10 @@
 use std::f64::consts::{PI, TAU};
 
 use armarium_robot::{Geometry, Visual};
+use armarium_values::random::StandardNormal;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use crate::coach::minimum_jerk;
 pub use crate::leading::Lead;
@@ -87,7 +87,7 @@ impl Person {
 
     /// What they want at `t` s, `dt` s after the last step, with the hands of the first robot where they are.
     pub fn step(&mut self, t: f64, dt: f64, robot_hands: &[Point3<f64>]) -> Posture {
-        let follows = 1.0 - (-dt / SEEING).exp();
+        let follows = 1.0 - libm::exp(-dt / SEEING);
         if self.seen.len() != robot_hands.len() {
             self.seen = robot_hands.to_vec();
         }
@@ -113,7 +113,7 @@ impl Person {
         }
         let Posture { room_from_feet, mut hands, leads } = self.posture;
         if self.spec.tremor > 0.0 {
-            let kept = (-dt / TREMOR_S).exp();
+            let kept = libm::exp(-dt / TREMOR_S);
             for (hand, tremor) in hands.iter_mut().zip(&mut self.tremor) {
                 let shock = Vector3::from_fn(|_, _| self.rng.sample::<f64, _>(StandardNormal));
                 *tremor = *tremor * kept + shock * (self.spec.tremor * (1.0 - kept * kept).sqrt());
@@ -154,7 +154,7 @@ impl Person {
         self.posture.hands[side] = if age < there {
             from.hands[side] + (goal - from.hands[side]) * minimum_jerk(age / there)
         } else if age < stays {
-            let waved = if action.wave { WAVE.1 * (TAU * WAVE.0 * (age - there)).sin() } else { 0.0 };
+            let waved = if action.wave { WAVE.1 * libm::sin(TAU * WAVE.0 * (age - there)) } else { 0.0 };
             goal + feet.rotation * Vector3::x() * waved
         } else {
             goal + (rest - goal) * minimum_jerk(((age - stays) / back).min(1.0))
@@ -168,8 +168,11 @@ impl Person {
         let way = to - begin;
         let length = way.norm();
         let turning = 0.5;
-        let yaw =
-            if length > 1e-6 { (-way.x).atan2(way.y) } else { from.room_from_feet.rotation.euler_angles().2 };
+        let yaw = if length > 1e-6 {
+            libm::atan2(-way.x, way.y)
+        } else {
+            from.room_from_feet.rotation.euler_angles().2
+        };
         let ahead = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
         let turned =
             from.room_from_feet.rotation.try_slerp(&ahead, (age / turning).min(1.0), 1e-9).unwrap_or(ahead);

@@ -1,9 +1,9 @@
 //! From the true to the sensed state: noise, bias and drift, determined by the seed; and broken sensors.
 
+use armarium_values::random::StandardNormal;
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use armarium_robot::{ForceTorque, JointKind, Limb, Model, Sample};
 
@@ -111,7 +111,7 @@ impl WrenchSensor {
     /// A first-order Gauss-Markov process of standard deviation 1 at `t` s, which never goes back.
     fn colored(&mut self, t: f64) -> [f64; 6] {
         let (last, at) = &mut self.slow;
-        let kept = (-(t - *at).max(0.0) / COLOUR_TIME).exp();
+        let kept = libm::exp(-(t - *at).max(0.0) / COLOUR_TIME);
         let fresh = (1.0 - kept * kept).sqrt();
         for axis in last.iter_mut() {
             *axis = kept * *axis + fresh * self.rng.sample::<f64, _>(StandardNormal);
@@ -195,7 +195,7 @@ impl Drift {
     }
 
     fn after(&self, since: f64) -> [f64; 6] {
-        let kept = (-since / DRIFT_TIME).exp();
+        let kept = libm::exp(-since / DRIFT_TIME);
         std::array::from_fn(|axis| self.to[axis] + (self.from[axis] - self.to[axis]) * kept)
     }
 }
@@ -257,7 +257,7 @@ mod tests {
         for i in 0..2 {
             let mean = sums[i] / f64::from(n);
             assert!((mean - s.wrenches[i].bias[0]).abs() < 0.02);
-            let white_and_colored = 0.3_f64.hypot(0.1);
+            let white_and_colored = libm::hypot(0.3_f64, 0.1);
             assert!(((squares[i] / f64::from(n) - mean * mean).sqrt() - white_and_colored).abs() < 0.003);
         }
         assert!(((angles / f64::from(n)).sqrt() - 0.0002).abs() < 1e-5);
@@ -274,7 +274,7 @@ mod tests {
             let pairs = axis.iter().zip(&axis[after..]);
             pairs.map(|(a, b)| a * b).sum::<f64>() / (axis.len() - after) as f64
         };
-        let expected = |after: f64| (-after / COLOUR_TIME).exp();
+        let expected = |after: f64| libm::exp(-after / COLOUR_TIME);
         for after in [0_u32, 10, 50, 500] {
             let off = alike(after as usize) - expected(f64::from(after) * 1e-3);
             assert!(off.abs() < 0.1, "{off} after {after} ms");

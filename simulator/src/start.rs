@@ -5,10 +5,10 @@
 use std::sync::Arc;
 
 use armarium_robot::{Joint, JointKind, Model};
+use armarium_values::random::StandardNormal;
 use nalgebra::{Isometry3, Point3, Rotation2, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use crate::error::SimulationError;
 use crate::table::TableTop;
@@ -245,7 +245,7 @@ fn contents(holder: &BodyStart) -> Vec<BodyStart> {
     let pitch = contents.diameter * 1.05;
     let across = |side: f64| (side / pitch).floor() as i32;
     let within = |[x, y]: &[f64; 2]| match spec.shape {
-        BodyShape::Cup => x.hypot(*y) <= inside.x,
+        BodyShape::Cup => libm::hypot(*x, *y) <= inside.x,
         _ => x.abs() <= inside.x && y.abs() <= inside.y,
     };
     let columns = || -across(inside.x)..=across(inside.x);

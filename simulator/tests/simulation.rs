@@ -33,7 +33,7 @@ fn busy(seed: u64) -> u64 {
     robot.say("Please show me.");
     robot.say("I am wiping.");
     for i in 0..3000 {
-        let v = (f64::from(i) * 2e-3).sin() * 0.4;
+        let v = libm::sin(f64::from(i) * 2e-3) * 0.4;
         arm.command(&[v, -v, v, v, -v, 0.3 * v, 0.3 * v]).unwrap();
         torso.command(&[0.2 * v, 0.1 * v, 0.2 * v]).unwrap();
         simulation.step();

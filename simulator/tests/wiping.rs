@@ -130,15 +130,15 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
         let ramp = (t / 4.0).min(1.0);
         let theta = omega * t;
         let mut goal = grasp;
-        goal.translation.x = center.x + ramp * radius * (theta.cos() - 1.0);
-        goal.translation.y = center.y + ramp * radius * theta.sin();
+        goal.translation.x = center.x + ramp * radius * (libm::cos(theta) - 1.0);
+        goal.translation.y = center.y + ramp * radius * libm::sin(theta);
         let error = 8.0 - hand.force();
         z -= (error * 3e-3).clamp(-0.02, 0.02) * 1e-3;
         goal.translation.z = z;
         let tcp = hand.simulation.truth().tcp;
         let mut twist = towards(&tcp, &goal, 0.3);
-        twist.linear.x += ramp * radius * omega * -theta.sin();
-        twist.linear.y += ramp * radius * omega * theta.cos();
+        twist.linear.x += ramp * radius * omega * -libm::sin(theta);
+        twist.linear.y += ramp * radius * omega * libm::cos(theta);
         hand.step(&twist, -0.05);
         t += 1e-3;
         if t > 11.0 && !marked {

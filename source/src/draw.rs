@@ -207,7 +207,7 @@ impl Drawing<'_> {
         };
         // Five digits of what the range spans say all that is meant.
         let finest = (to.value - from.value).abs().max(1e-12) / 1e5;
-        let decimals = (-finest.log10()).ceil().clamp(0.0, 12.0) as usize;
+        let decimals = (-libm::log10(finest)).ceil().clamp(0.0, 12.0) as usize;
         let text = format!("{value:.decimals$}");
         let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
         Some(if from.unit.is_empty() { text.to_owned() } else { format!("{text} {}", from.unit) })

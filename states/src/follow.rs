@@ -63,7 +63,7 @@ impl FollowingPlatform {
         let beyond = (off.norm() - FREE).max(0.0);
         let fastest = self.model.joints()[self.platform.joints[0]].velocity;
         let wanted = off.try_normalize(1e-9).unwrap_or_default() * (GAIN * beyond).min(fastest);
-        self.velocity += (wanted - self.velocity) * (1.0 - (-dt / SMOOTH).exp());
+        self.velocity += (wanted - self.velocity) * (1.0 - libm::exp(-dt / SMOOTH));
         self.command(self.velocity)?;
         Ok(self.velocity)
     }

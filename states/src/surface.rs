@@ -90,7 +90,7 @@ impl Surface {
     /// The point of it that is vertically above or below a place, root frame, m.
     pub(crate) fn at(&self, x: f64, y: f64) -> Point3<f64> {
         let off = Vector3::new(x - self.at.x, y - self.at.y, 0.0);
-        Point3::new(x, y, self.at.z - self.normal.dot(&off) / self.normal.z.max(STEEPEST.cos()))
+        Point3::new(x, y, self.at.z - self.normal.dot(&off) / self.normal.z.max(libm::cos(STEEPEST)))
     }
 }
 

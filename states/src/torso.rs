@@ -84,7 +84,7 @@ impl TurningTorso {
         let room = [joint.lower + MARGIN - at, joint.upper - MARGIN - at].map(|room| GAIN * room);
         let wanted = (GAIN * planar_turn(&self.before, &now)).clamp(-fastest, fastest);
         let wanted = wanted.max(room[0].min(0.0)).min(room[1].max(0.0));
-        self.rate += (wanted - self.rate) * (1.0 - (-dt / SMOOTH).exp());
+        self.rate += (wanted - self.rate) * (1.0 - libm::exp(-dt / SMOOTH));
         let command: Vec<f64> =
             self.joints.iter().map(|joint| if *joint == self.joint { self.rate } else { 0.0 }).collect();
         self.lease.command(&command).map_err(failed)

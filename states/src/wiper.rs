@@ -270,7 +270,7 @@ impl Wiper {
         let tcp = Point3::from(self.arm.tcp(sample).translation.vector);
         let tcp = self.stage.root_from_motion.inverse_transform_point(&tcp);
         let path = self.motion().primitive().steady_path(256).map_err(failed)?;
-        let distance = |s: usize| (path.y[s][0] - tcp.x).hypot(path.y[s][1] - tcp.y);
+        let distance = |s: usize| libm::hypot(path.y[s][0] - tcp.x, path.y[s][1] - tcp.y);
         let nearest = (0..path.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
         self.motion.start_on_path(path.phase(nearest))?;
         if let Some(turning) = &mut self.turning {
@@ -283,7 +283,7 @@ impl Wiper {
     /// How much higher than believed the surface may be at the present point of the path, m.
     pub(crate) fn rise_from(&self, tool: &GraspedTool) -> f64 {
         let (y, at) = (self.motion.state().y, tool.tcp.translation.vector);
-        STEEPER * (y[0] - at.x).hypot(y[1] - at.y)
+        STEEPER * libm::hypot(y[0] - at.x, y[1] - at.y)
     }
 
     /// Moves the TCP on a straight line to the present point of the path, `over` m over where it was when the tool stood.

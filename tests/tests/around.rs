@@ -89,7 +89,7 @@ fn board(model: &Arc<Model>, tall: f64, wide: f64) -> KnownBox {
         name: "board".into(),
         root_from_box: Isometry3::from_parts(
             (0.5 * (from + to)).into(),
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), way.y.atan2(way.x)),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), libm::atan2(way.y, way.x)),
         ),
         size: Vector3::new(0.02, wide, tall),
     }

@@ -131,7 +131,7 @@ impl Skill for PutMotion {
             let z = z + 0.06;
             let sample = |k: u32| {
                 let phase = TAU * f64::from(k) / 200.0;
-                let (s, c) = (0.04 * phase.sin(), 0.04 * phase.cos());
+                let (s, c) = (0.04 * libm::sin(phase), 0.04 * libm::cos(phase));
                 PhaseSample { phase, y: vec![x + c, y + s, z], dy: vec![-s, c, 0.0], ddy: vec![-c, -s, 0.0] }
             };
             let mut circle = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();

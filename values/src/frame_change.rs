@@ -1,6 +1,6 @@
 //! Geometric values expressed in another frame, with their covariances.
 
-use nalgebra::{DMatrix, Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, SMatrix, Vector3};
 
 use crate::{Frame, Pose, Value, Vector, Wrench};
 
@@ -54,20 +54,23 @@ impl FrameChange<'_> {
     /// Others are left as they are.
     #[must_use]
     pub fn covariance(&self, rows: &[f64]) -> Vec<f64> {
-        let size = match rows.len() {
-            9 => 3,
-            36 => 6,
-            _ => return rows.to_vec(),
-        };
-        let covariance = DMatrix::from_row_slice(size, size, rows);
-        let mut by = DMatrix::zeros(size, size);
-        let matrix = self.to_from_from.rotation.to_rotation_matrix();
-        for block in (0..size).step_by(3) {
-            by.view_mut((block, block), (3, 3)).copy_from(matrix.matrix());
+        match rows.len() {
+            9 => self.turned::<3>(rows),
+            36 => self.turned::<6>(rows),
+            _ => rows.to_vec(),
         }
-        let turned = &by * covariance * by.transpose();
+    }
+
+    fn turned<const N: usize>(&self, rows: &[f64]) -> Vec<f64> {
+        let covariance = SMatrix::<f64, N, N>::from_row_slice(rows);
+        let mut by = SMatrix::<f64, N, N>::zeros();
+        let matrix = self.to_from_from.rotation.to_rotation_matrix();
+        for block in (0..N).step_by(3) {
+            by.fixed_view_mut::<3, 3>(block, block).copy_from(matrix.matrix());
+        }
+        let turned = by * covariance * by.transpose();
         // Remove the asymmetry that rounding causes.
-        let turned = (&turned + turned.transpose()) * 0.5;
-        turned.transpose().as_slice().to_vec()
+        let turned = (turned + turned.transpose()) * 0.5;
+        turned.as_slice().to_vec()
     }
 }

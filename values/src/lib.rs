@@ -7,6 +7,7 @@ pub mod expr;
 mod frame_change;
 mod geometry;
 mod observation;
+pub mod random;
 pub mod report;
 mod search;
 pub mod transforms;

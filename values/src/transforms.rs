@@ -348,7 +348,7 @@ mod tests {
         for t in [0.0_f64, 0.013, 0.5, 1.2345, 2.0] {
             let stamp = (t * 1e9) as u64;
             let world_from_camera = transforms.transform(&frame("world"), &frame("camera"), stamp).unwrap();
-            let expected = Point3::new(0.5 * t + 0.1 + 0.2 * t.cos(), 0.2 * t.sin(), 0.0);
+            let expected = Point3::new(0.5 * t + 0.1 + 0.2 * libm::cos(t), 0.2 * libm::sin(t), 0.0);
             assert!((world_from_camera * Point3::origin() - expected).norm() < 1e-6, "{t}");
             assert!((world_from_camera.rotation.angle() - t).abs() < 1e-6, "{t}");
             let back = transforms.transform(&frame("camera"), &frame("world"), stamp).unwrap();

@@ -44,7 +44,7 @@ fn loop_path(label: &str, style: PathStyle, shift: impl Fn(f64) -> [f64; 2]) -> 
         .map(|i| {
             let phase = TAU * f64::from(i) / 2000.0;
             let [dx, dy] = shift(phase);
-            [0.28 + 0.05 * phase.cos() + dx, 0.53 + 0.03 * phase.sin() + dy]
+            [0.28 + 0.05 * libm::cos(phase) + dx, 0.53 + 0.03 * libm::sin(phase) + dy]
         })
         .collect();
     Path { label: label.into(), style, points }
@@ -58,14 +58,14 @@ fn signal(label: &str, end: f64, f: impl Fn(f64) -> f64) -> Series {
 
 /// An irregular signal without random numbers.
 fn ripple(t: f64) -> f64 {
-    (t * 91.7).sin() * (t * 37.1).cos() + 0.5 * (t * 211.3).sin()
+    libm::sin(t * 91.7) * libm::cos(t * 37.1) + 0.5 * libm::sin(t * 211.3)
 }
 
 fn force() -> TimePlot {
     let normal = |t: f64| match t {
         t if t < 47.5 => 0.02 * ripple(t).abs(),
-        t if t < 48.0 => 14.0 * ((t - 47.5) * TAU).sin().abs(),
-        t => 8.0 + (-(t - 48.0) / 4.0).exp() * 4.0 * (t * 3.0).sin() + 0.3 * ripple(t),
+        t if t < 48.0 => 14.0 * libm::sin((t - 47.5) * TAU).abs(),
+        t => 8.0 + libm::exp(-(t - 48.0) / 4.0) * 4.0 * libm::sin(t * 3.0) + 0.3 * ripple(t),
     };
     TimePlot {
         title: "Contact force".into(),
@@ -99,7 +99,9 @@ fn joints() -> Vec<TimePlot> {
         TimePlot {
             title: format!("Shoulder {i} R"),
             y_label: "rad".into(),
-            series: vec![signal("position", 168.0, move |t| 0.2 * i - 0.6 + 0.3 * (TAU * 0.5 * t + i).sin())],
+            series: vec![signal("position", 168.0, move |t| {
+                0.2 * i - 0.6 + 0.3 * libm::sin(TAU * 0.5 * t + i)
+            })],
             limits: vec![(-1.2, "limit".into()), (1.4, "limit".into())],
             ..Default::default()
         }
@@ -113,7 +115,7 @@ fn wiped() -> Plan {
         .map(|i| {
             let x = 0.1 + (i % columns) as f64 * cell_m - 0.28;
             let y = 0.4 + (i / columns) as f64 * cell_m - 0.53;
-            let off = ((x / 0.05).hypot(y / 0.03) - 1.0).abs();
+            let off = (libm::hypot(x / 0.05, y / 0.03) - 1.0).abs();
             match off {
                 _ if off < 0.5 && x > 0.055 && y > 0.0 => 2,
                 _ if off < 0.5 => 1,
@@ -195,8 +197,8 @@ fn coaching() -> Table {
 fn success() -> ReportData {
     let shift = |at: f64, by: [f64; 2]| {
         move |phase: f64| {
-            let near = ((phase - at).cos() - 1.0) * 6.0;
-            by.map(|b| b * near.exp())
+            let near = (libm::cos(phase - at) - 1.0) * 6.0;
+            by.map(|b| b * libm::exp(near))
         }
     };
     let facts = [
@@ -213,7 +215,7 @@ fn success() -> ReportData {
         paths: vec![
             Path { label: "table".into(), style: PathStyle::Outline, points: table },
             loop_path("demonstrated", PathStyle::Reference, |_| [0.0; 2]),
-            loop_path("learned", PathStyle::Line, |p| [0.0015 * (3.0 * p).sin(), 0.001]),
+            loop_path("learned", PathStyle::Line, |p| [0.0015 * libm::sin(3.0 * p), 0.001]),
             loop_path("after push", PathStyle::Line, shift(TAU / 4.0, [0.0, 0.031])),
             loop_path("after fist", PathStyle::Line, shift(TAU * 0.75, [0.0, -0.021])),
         ],
@@ -224,7 +226,7 @@ fn success() -> ReportData {
         y_label: "frequency, Hz".into(),
         series: vec![
             signal("executed", 168.0, |t| {
-                if t < 62.0 { f64::NAN } else { 0.5 - 0.25 * (-(t - 98.0).powi(2) / 20.0).exp() }
+                if t < 62.0 { f64::NAN } else { 0.5 - 0.25 * libm::exp(-(t - 98.0).powi(2) / 20.0) }
             }),
             signal("learned", 168.0, |t| if t < 14.2 { f64::NAN } else { 0.5 }),
         ],

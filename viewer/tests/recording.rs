@@ -13,7 +13,7 @@ const MS: u64 = 1_000_000;
 fn tcp(i: u64) -> Isometry3<f64> {
     let phase = i as f64 * 1e-3;
     Isometry3::new(
-        Vector3::new(0.3 + 0.05 * phase.cos(), 0.5 + 0.05 * phase.sin(), 1.0),
+        Vector3::new(0.3 + 0.05 * libm::cos(phase), 0.5 + 0.05 * libm::sin(phase), 1.0),
         Vector3::z() * phase,
     )
 }
@@ -26,7 +26,7 @@ fn record(path: &std::path::Path, n: u64) -> Recorder {
     let names: Vec<String> = (0..17).map(|i| format!("Joint {i}")).collect();
     let grey = RgbImage::from_rgb(64, 48, vec![90; 64 * 48 * 3]).expect("the size fits");
     for i in 0..n {
-        let (t, x) = (i * MS, (i as f64 * 0.013).sin());
+        let (t, x) = (i * MS, libm::sin(i as f64 * 0.013));
         recorder.pose("/truth/tcp", t, &tcp(i));
         recorder.pose("/truth/sponge", t, &tcp(i + 5));
         recorder.contact(t, &TrueContact { normal_n: 8.0 + x, tangential_n: 4.0 }).expect("numbers encode");
@@ -97,7 +97,7 @@ fn every_message_comes_back_with_its_time_and_values() {
 
     let (_, data) = &topics["/truth/contact"][100];
     let contact: TrueContact = serde_json::from_slice(data).expect("it is the JSON of a contact");
-    assert!((contact.normal_n - 8.0 - (1.3_f64).sin()).abs() < 0.51e-3);
+    assert!((contact.normal_n - 8.0 - libm::sin(1.3_f64)).abs() < 0.51e-3);
     assert_eq!(contact.tangential_n, 4.0);
 
     let joints = fg::JointStates::decode(topics["/robot/joints"][1].1.as_slice()).expect("Foxglove's schema");

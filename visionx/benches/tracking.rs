@@ -39,8 +39,8 @@ fn paint(at: Vector2<f64>) -> [f64; 3] {
         (at - a - (b - a) * t).norm() < radius
     };
     let fingers = (0..5).map(|i| -0.5 + 0.35 * f64::from(i));
-    let mut hand =
-        fingers.map(|a: f64| rod([-0.1, 0.05], [-0.1 + 0.13 * a.sin(), 0.05 - 0.13 * a.cos()], 0.009));
+    let mut hand = fingers
+        .map(|a: f64| rod([-0.1, 0.05], [-0.1 + 0.13 * libm::sin(a), 0.05 - 0.13 * libm::cos(a)], 0.009));
     if hand.any(|on| on) || rod([-0.1, 0.05], [-0.1, 0.06], 0.04) {
         [224.0, 172.0, 138.0]
     } else if (at - Vector2::new(0.1, -0.1)).norm() < 0.03 {

@@ -56,7 +56,7 @@ pub fn circle(image: &mut RgbImage, center: &Point2<f64>, radius: f64, color: [u
     let n = 48;
     let corners: Vec<_> = (0..n)
         .map(|i| f64::from(i) * std::f64::consts::TAU / f64::from(n))
-        .map(|a| Point2::new(center.x + radius * a.cos(), center.y + radius * a.sin()))
+        .map(|a| Point2::new(center.x + radius * libm::cos(a), center.y + radius * libm::sin(a)))
         .collect();
     polygon(image, &corners, color);
 }

@@ -30,7 +30,7 @@ pub struct StereoCalibration {
 impl PinholeCamera {
     /// Half the angles that its pictures hold across and up, rad.
     pub fn half_angles(&self) -> [f64; 2] {
-        [self.width, self.height].map(|side| (0.5 * f64::from(side) / self.focal).atan())
+        [self.width, self.height].map(|side| libm::atan(0.5 * f64::from(side) / self.focal))
     }
 
     /// Half the angle of the cone about the optical axis that its pictures hold whole, rad.

@@ -35,7 +35,7 @@ impl ColorModel {
         let length = norm(v);
         let grey = [1.0f32 / 3.0f32.sqrt(); 3];
         let direction = if length > 0.0 { v.map(|c| c / length) } else { grey };
-        let from_grey = dot(direction, grey).clamp(-1.0, 1.0).acos();
+        let from_grey = libm::acosf(dot(direction, grey).clamp(-1.0, 1.0));
         let hued = from_grey > 0.12;
         // A pale colour's cone must not reach the greys.
         let half_angle = if hued { HALF_ANGLE.min(from_grey * 0.45) } else { 0.06 };
@@ -44,7 +44,7 @@ impl ColorModel {
         } else {
             (0.6 * length - 12.0, 1.3 * length + 12.0)
         };
-        Self { direction, tangent: half_angle.tan(), radius: NOISE_RADIUS, range }
+        Self { direction, tangent: libm::tanf(half_angle), radius: NOISE_RADIUS, range }
     }
 
     /// Adapts the model to the observed `pixels` (RGB): a cone about their mean, as wide as their scatter, never
@@ -73,7 +73,7 @@ impl ColorModel {
         let v = rgb.map(|c| c as f32);
         let length = norm(v);
         if length > 0.0 {
-            f64::from((dot(v, self.direction) / length).clamp(-1.0, 1.0).acos())
+            f64::from(libm::acosf((dot(v, self.direction) / length).clamp(-1.0, 1.0)))
         } else {
             std::f64::consts::FRAC_PI_2
         }

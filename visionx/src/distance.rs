@@ -63,7 +63,7 @@ mod tests {
                 let (x, y) = ((i % 11) as f32, (i / 11) as f32);
                 let expected = (0..77)
                     .filter(|&j| mask.data()[j] != 0)
-                    .map(|j| ((j % 11) as f32 - x).hypot((j / 11) as f32 - y))
+                    .map(|j| libm::hypotf((j % 11) as f32 - x, (j / 11) as f32 - y))
                     .fold(f32::INFINITY, f32::min);
                 prop_assert!((d - expected).abs() < 1e-4 || *d == expected);
             }

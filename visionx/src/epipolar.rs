@@ -110,7 +110,7 @@ impl Gray {
             }
         }
         let (half, difference) = ((xx + yy) / 2.0, (xx - yy) / 2.0);
-        (half - difference.hypot(xy)).max(0.0) / 25.0
+        (half - libm::hypot(difference, xy)).max(0.0) / 25.0
     }
 
     /// Finds a patch of this image in `other`, in about the same row and not further right, with subpixel accuracy

@@ -7,9 +7,9 @@
 //! # Source
 //! Gordon, Salmond, Smith 1993 (bootstrap filter); Evensen 2003 (ensemble update with perturbed measurements).
 
+use armarium_values::random::StandardNormal;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rand::{Rng, RngExt};
-use rand_distr::StandardNormal;
 
 /// One hypothesis.
 #[derive(Clone, Copy, Debug)]
@@ -161,7 +161,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut cloud = Cloud::around(&Point3::origin(), &Matrix3::identity(), 0.0, 20_000, &mut rng);
         // Prior N(0, 1) times likelihood N(1, 1) is N(1/2, 1/2).
-        cloud.resample(|p| (-0.5 * (p.x - 1.0).powi(2)).exp(), &mut rng);
+        cloud.resample(|p| libm::exp(-0.5 * (p.x - 1.0).powi(2)), &mut rng);
         assert!((cloud.mean().0.x - 0.5).abs() < 0.03);
         assert!((cloud.covariance()[(0, 0)] - 0.5).abs() < 0.03);
         cloud.resample(|_| 0.0, &mut rng);

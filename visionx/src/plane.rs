@@ -117,7 +117,7 @@ impl Plane {
 
 /// The axes of a plane with this normal: x along the root frame's x, of an upright plane horizontal.
 fn axes(normal: &Vector3<f64>) -> Option<Rotation3<f64>> {
-    let x = match normal.z.abs() > LEVEL.cos() - 1e-9 {
+    let x = match normal.z.abs() > libm::cos(LEVEL) - 1e-9 {
         true => -Vector3::x().cross(normal).cross(normal),
         false => Vector3::z().cross(normal),
     };
@@ -128,12 +128,12 @@ fn axes(normal: &Vector3<f64>) -> Option<Rotation3<f64>> {
 /// A level plane's normal, upwards; `None` for one that is too steep.
 pub(crate) fn upwards(normal: &Vector3<f64>) -> Option<Vector3<f64>> {
     let normal = normal * normal.z.signum();
-    (normal.z > LEVEL.cos()).then_some(normal)
+    (normal.z > libm::cos(LEVEL)).then_some(normal)
 }
 
 /// An upright plane's normal, to where its point `at` is seen from; `None` for one that is not upright.
 pub(crate) fn towards(eye: &Point3<f64>, at: &Point3<f64>, normal: &Vector3<f64>) -> Option<Vector3<f64>> {
-    (normal.z.abs() < UPRIGHT.sin()).then(|| normal * normal.dot(&(eye - at)).signum())
+    (normal.z.abs() < libm::sin(UPRIGHT)).then(|| normal * normal.dot(&(eye - at)).signum())
 }
 
 /// The centroid, the normal and the points' standard deviation of the plane that fits the points best.

@@ -28,7 +28,7 @@ impl Rectangle {
         let corners = min_area_rect(&cells).map(|c| Vector2::new(f64::from(c.x), f64::from(c.y)));
         let (a, b) = (corners[1] - corners[0], corners[3] - corners[0]);
         let long = if a.norm() >= b.norm() { a } else { b };
-        let angle = if long.x == 0.0 { std::f64::consts::FRAC_PI_2 } else { (long.y / long.x).atan() };
+        let angle = if long.x == 0.0 { std::f64::consts::FRAC_PI_2 } else { libm::atan(long.y / long.x) };
         let turned: Vec<Vector2<f64>> = points.iter().map(|p| Rotation2::new(-angle) * p.coords).collect();
         let side = |axis: usize| {
             let mut values: Vec<f64> = turned.iter().map(|p| p[axis]).collect();

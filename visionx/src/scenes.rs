@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use armarium_values::random::StandardNormal;
 use async_trait::async_trait;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{DepthImage, ImageError, RgbImage, SharedImage, StereoFrame};
@@ -205,7 +205,7 @@ pub(crate) fn hand(
     tilt: f64,
 ) -> (Vec<Thing>, Vector3<f64>) {
     let x = Vector3::new(0.0, 0.0, if back { 1.0 } else { -1.0 });
-    let z = Vector3::new(roll.cos(), roll.sin(), 0.0);
+    let z = Vector3::new(libm::cos(roll), libm::sin(roll), 0.0);
     let facing = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]));
     let rotation = Rotation3::from_axis_angle(&Vector3::y_axis(), tilt) * facing;
     let left_from_hand = Isometry3::from_parts(center.coords.into(), rotation.into());
@@ -228,7 +228,7 @@ pub(crate) fn hand(
         let knuckle = Vector3::new(0.0, y, 0.04);
         rod(Vector3::new(0.0, 0.7 * y, -0.07), knuckle, 0.0135);
         let spread = if gesture == Gesture::PointOne { 0.0 } else { 7.0 * y };
-        let along = Vector3::new(0.0, spread.sin(), spread.cos());
+        let along = Vector3::new(0.0, libm::sin(spread), libm::cos(spread));
         if stretched[i + 1] {
             rod(knuckle, knuckle + along * 0.085, 0.009);
         } else {

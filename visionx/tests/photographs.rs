@@ -160,7 +160,7 @@ fn wall(color: [f64; 3], planks: bool, seed: u64) -> RgbImage {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     RgbImage::painted(w, h, |x, y| {
         let plank = if planks && y % 80 < 2 { 0.6 } else { 1.0 };
-        let grain = if planks { 1.0 + 0.08 * (f64::from(y) * 0.9).sin() } else { 1.0 };
+        let grain = if planks { 1.0 + 0.08 * libm::sin(f64::from(y) * 0.9) } else { 1.0 };
         let light = 0.75 + 0.3 * f64::from(x) / f64::from(w);
         let noise = 8.0 * (rng.random::<f64>() - 0.5);
         color.map(|c| (c * light * plank * grain + noise).clamp(0.0, 255.0) as u8)

@@ -97,7 +97,7 @@ impl Stage {
 
     /// The hand's pose in the left camera's frame at a time.
     fn hand(&self, t: f64) -> Isometry3<f64> {
-        let wave = |i: usize| self.waves[i][0] * (self.waves[i][1] * t + self.waves[i][2]).sin();
+        let wave = |i: usize| self.waves[i][0] * libm::sin(self.waves[i][1] * t + self.waves[i][2]);
         let z = (DISTANCES.0 + DISTANCES.1) / 2.0 + wave(2);
         // The closer the hand, the narrower the field of view.
         let room = ((z - 0.25) / 0.4).clamp(0.1, 1.0);

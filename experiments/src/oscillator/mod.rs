@@ -4,10 +4,11 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
+use armarium_values::random::StandardNormal;
 use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use rand::SeedableRng as _;
+use rand::distr::Distribution as _;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::error::{ExperimentError, within};
@@ -188,20 +189,22 @@ impl Oscillator {
 
     /// The coordinates at a phase, rad.
     fn value(&self, p: f64, rng: &mut ChaCha8Rng) -> [f64; 2] {
-        let eight = |p: f64| [p.sin(), (2.0 * p).sin()];
+        let eight = |p: f64| [libm::sin(p), libm::sin(2.0 * p)];
         let one = match self.signal {
-            Signal::Sine | Signal::Chirp => p.sin(),
-            Signal::Harmonics3 => 0.6 * p.sin() + 0.3 * (2.0 * p + 0.4).cos() + 0.2 * (3.0 * p + 1.1).sin(),
-            Signal::Square => p.sin().signum(),
-            Signal::Offset => 0.5 + 0.5 * p.sin(),
+            Signal::Sine | Signal::Chirp => libm::sin(p),
+            Signal::Harmonics3 => {
+                0.6 * libm::sin(p) + 0.3 * libm::cos(2.0 * p + 0.4) + 0.2 * libm::sin(3.0 * p + 1.1)
+            }
+            Signal::Square => libm::sin(p).signum(),
+            Signal::Offset => 0.5 + 0.5 * libm::sin(p),
             Signal::Noise => {
                 let normal: f64 = StandardNormal.sample(rng);
-                p.sin() + self.noise * normal
+                libm::sin(p) + self.noise * normal
             }
-            Signal::Step => 0.7 * p.sin() + 0.3 * (2.0 * p + 0.5).sin(),
-            Signal::Eight => 0.5 * p.sin() + 0.87 * (2.0 * p).sin(),
+            Signal::Step => 0.7 * libm::sin(p) + 0.3 * libm::sin(2.0 * p + 0.5),
+            Signal::Eight => 0.5 * libm::sin(p) + 0.87 * libm::sin(2.0 * p),
             Signal::Plane => {
-                let ([x, y], (sin, cos)) = (eight(p), 30.0_f64.to_radians().sin_cos());
+                let ([x, y], (sin, cos)) = (eight(p), libm::sincos(30.0_f64.to_radians()));
                 return [self.amplitude * (cos * x - sin * y), self.amplitude * (sin * x + cos * y)];
             }
         };
@@ -260,7 +263,7 @@ impl Oscillator {
 
     /// Settling times in periods over the frequency, with and without an estimated start.
     fn sweep(&self, outcome: &mut ExperimentResult) -> Result<(), ExperimentError> {
-        let hz: Vec<f64> = (0..16).map(|i| 0.25 * 16.0_f64.powf(f64::from(i) / 15.0)).collect();
+        let hz: Vec<f64> = (0..16).map(|i| 0.25 * libm::pow(16.0_f64, f64::from(i) / 15.0)).collect();
         // These two signals define their own frequencies.
         let own = matches!(self.signal, Signal::Step | Signal::Chirp);
         let signal = if own { Signal::Sine } else { self.signal };
@@ -279,9 +282,10 @@ impl Oscillator {
         };
         let row = |estimate: bool| hz.iter().map(|f| periods(estimate, *f)).collect::<Result<Vec<f64>, _>>();
         let (estimated, bare) = (row(true)?, row(false)?);
-        let points = |values: &[f64]| hz.iter().zip(values).map(|(f, p)| [f.log10(), *p]).collect::<Vec<_>>();
+        let points =
+            |values: &[f64]| hz.iter().zip(values).map(|(f, p)| [libm::log10(*f), *p]).collect::<Vec<_>>();
         let panel = Panel {
-            marks: vec![(self.initial.log10(), "initial".into())],
+            marks: vec![(libm::log10(self.initial), "initial".into())],
             y_range: Some([0.0, 17.0]),
             ..panel(
                 "log10 of the frequency, Hz",

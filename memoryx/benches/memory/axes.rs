@@ -30,7 +30,7 @@ fn cup(name: &str, at: [f64; 3], time_ns: u64) -> Commit {
 /// A circle of 0.2 m radius, once in ten seconds: 0.126 m/s.
 fn round(time_ns: u64) -> [f64; 3] {
     let angle = time_ns as f64 * 1e-9 * std::f64::consts::TAU / 10.0;
-    [0.2 * angle.cos(), 0.6 + 0.2 * angle.sin(), 0.85]
+    [0.2 * libm::cos(angle), 0.6 + 0.2 * libm::sin(angle), 0.85]
 }
 
 pub(super) async fn axes() {
@@ -108,7 +108,7 @@ async fn prediction() {
             days += 1;
             let best = known.iter().max_by(|a, b| chance(a).total_cmp(&chance(b)));
             guessed += u32::from(best.is_some_and(|s| is_there(s)));
-            surprise -= known.iter().find(|s| is_there(s)).map_or(0.01, |s| chance(s)).log2();
+            surprise -= libm::log2(known.iter().find(|s| is_there(s)).map_or(0.01, |s| chance(s)));
         }
         memory.commit_now(vec![cup("cup", today, day * DAY_NS + 1)]).expect("it fits");
     }
@@ -118,6 +118,6 @@ async fn prediction() {
         "%",
         "best: 60",
     );
-    let entropy: f64 = PLACES.iter().map(|(_, n)| f64::from(*n) / 10.0).map(|p| -p * p.log2()).sum();
+    let entropy: f64 = PLACES.iter().map(|(_, n)| f64::from(*n) / 10.0).map(|p| -p * libm::log2(p)).sum();
     say("prediction: surprise a day", surprise / f64::from(days), "bits", &format!("entropy: {entropy:.2}"));
 }

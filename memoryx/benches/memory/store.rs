@@ -26,7 +26,17 @@ pub(super) fn snapshot(entity: u64, version: u64, bytes: usize) -> Arc<Snapshot>
 }
 
 pub(super) fn put_bare(bare: &Database, rows: impl Iterator<Item = (u64, u64)>) {
-    let write = bare.begin_write().expect("a transaction");
+    put(bare.begin_write().expect("a transaction"), rows);
+}
+
+/// As [`put_bare`]; and the file is opened at once after a kill, as long-term memory is.
+pub(super) fn put_to_open_at_once(bare: &Database, rows: impl Iterator<Item = (u64, u64)>) {
+    let mut write = bare.begin_write().expect("a transaction");
+    write.set_quick_repair(true);
+    put(write, rows);
+}
+
+fn put(write: redb::WriteTransaction, rows: impl Iterator<Item = (u64, u64)>) {
     {
         let mut table = write.open_table(BARE).expect("a table");
         for row in rows {

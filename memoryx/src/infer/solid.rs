@@ -96,7 +96,7 @@ fn below(x: f64) -> f64 {
     let polynomial = [1.061_405_429, -1.453_152_027, 1.421_413_741, -0.284_496_736, 0.254_829_592]
         .into_iter()
         .fold(0.0, |sum, factor| (sum + factor) * t);
-    let tail = 0.5 * polynomial * (-z * z).exp();
+    let tail = 0.5 * polynomial * libm::exp(-z * z);
     if x < 0.0 { tail } else { 1.0 - tail }
 }
 

@@ -145,7 +145,7 @@ impl Admittance {
         .moved_by(&torque, &angular, dt);
         self.twist = joined(&linear, &angular);
         if self.twist == Vector6::zeros() {
-            self.zero += felt * (1.0 - (-dt / c.zero_time).exp());
+            self.zero += felt * (1.0 - libm::exp(-dt / c.zero_time));
             return Ok(self.now(GuidingStatus::Resting, damping));
         }
         Ok(self.now(GuidingStatus::Led, damping))

@@ -60,7 +60,7 @@ struct HighPass {
 
 impl HighPass {
     fn step(&mut self, dt: f64, value: &Vector3<f64>) -> Vector3<f64> {
-        let share = 1.0 - (-dt / SLOW_S).exp();
+        let share = 1.0 - libm::exp(-dt / SLOW_S);
         let [first, second] = self.means.get_or_insert([*value, Vector3::zeros()]);
         *first += (value - *first) * share;
         let fast = value - *first;

@@ -293,7 +293,7 @@ impl CoachedMotion {
     /// The position at which the hand stands, m, if it does. Short detections elsewhere are ignored: the robot's
     /// own arm hides a part of the hand each time it passes.
     fn stands_at(&mut self, hand: Vector3<f64>, dt: f64, omega: f64) -> Option<Vector3<f64>> {
-        let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
+        let share = 1.0 - libm::exp(-dt / HAND_SMOOTHING);
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
         self.hand = Some(smooth);
         self.still = if (hand - smooth).norm() < HAND_MOVES { self.still + dt } else { 0.0 };

@@ -45,7 +45,7 @@ pub(super) fn addressed_row(
     let row_of = |phase: f64| ((phase / TAU).rem_euclid(1.0) * rows as f64) as usize % rows.max(1);
     let arrival = arrival.filter(|c| far(row_of(*c)) <= PLAUSIBLE);
     let cost = |row: usize| {
-        far(row) + arrival.map_or(0.0, |c| 0.5 * ARRIVAL_WEIGHT * (1.0 - (phase(row) - c).cos()))
+        far(row) + arrival.map_or(0.0, |c| 0.5 * ARRIVAL_WEIGHT * (1.0 - libm::cos(phase(row) - c)))
     };
     let allowed = |row: &usize| held.is_none_or(|h| apart(phase(*row), h).abs() <= MAX_PHASE_CHANGE);
     let best = (0..rows).filter(allowed).map(|row| (cost(row), row)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -93,7 +93,7 @@ mod tests {
     fn from(point: impl Fn(f64) -> [f64; 2], hand: [f64; 2]) -> impl Fn(usize) -> f64 {
         move |row| {
             let [x, y] = point(TAU * row as f64 / ROWS as f64);
-            (x - hand[0]).hypot(y - hand[1])
+            libm::hypot(x - hand[0], y - hand[1])
         }
     }
 
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn on_a_circle_it_is_the_nearest_point_whenever_the_hand_arrived() {
-        let circle = |p: f64| [0.05 * p.cos(), 0.05 * p.sin()];
+        let circle = |p: f64| [0.05 * libm::cos(p), 0.05 * libm::sin(p)];
         for arrival in [None, Some(0.25 * TAU), Some(0.75 * TAU)] {
             let row = addressed_row(ROWS, from(circle, [0.0, 0.15]), arrival, None);
             assert!((turns(row) - 0.25).abs() < 0.006, "{arrival:?} {row}");
@@ -112,8 +112,8 @@ mod tests {
 
     #[test]
     fn of_two_passes_it_is_the_one_of_the_arrival() {
-        let line = |p: f64| [0.05 * p.cos(), 0.03 * p.cos()];
-        let eight = |p: f64| [0.05 * p.cos(), 0.03 * (2.0 * p).sin()];
+        let line = |p: f64| [0.05 * libm::cos(p), 0.03 * libm::cos(p)];
+        let eight = |p: f64| [0.05 * libm::cos(p), 0.03 * libm::sin(2.0 * p)];
         for arrival in [0.25, 0.75] {
             // Beside the line's middle, and below the eight's crossing.
             let across = from(line, [0.06, -0.1]);
@@ -125,8 +125,8 @@ mod tests {
 
     #[test]
     fn beside_two_passes_a_hand_that_came_nobody_knows_when_is_ambiguous() {
-        let circle = |p: f64| [0.05 * p.cos(), 0.05 * p.sin()];
-        let eight = |p: f64| [0.05 * p.cos(), 0.03 * (2.0 * p).sin()];
+        let circle = |p: f64| [0.05 * libm::cos(p), 0.05 * libm::sin(p)];
+        let eight = |p: f64| [0.05 * libm::cos(p), 0.03 * libm::sin(2.0 * p)];
         let told = |path: fn(f64) -> [f64; 2], hand, arrival| {
             let row = addressed_row(ROWS, from(path, hand), arrival, None);
             !is_ambiguous(ROWS, from(path, hand), arrival, row)
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn the_phase_of_a_standing_hand_does_not_jump() {
-        let line = |p: f64| [0.05 * p.cos(), 0.0];
+        let line = |p: f64| [0.05 * libm::cos(p), 0.0];
         let across = from(line, [0.0, 0.1]);
         assert_eq!(addressed_row(ROWS, &across, None, Some(0.26 * TAU)), 50);
         assert_eq!(addressed_row(ROWS, &across, None, Some(0.74 * TAU)), 150);

@@ -16,9 +16,9 @@ fn shape(kind: &str, size: [f64; 2], phase: f64) -> [Vector3<f64>; 3] {
     };
     let (p, q) = (phase, k * phase + turn);
     [
-        Vector3::new(a * p.sin() + 0.3, b * q.sin() + 0.5, 1.0),
-        Vector3::new(a * p.cos(), b * k * q.cos(), 0.0),
-        Vector3::new(-a * p.sin(), -b * k * k * q.sin(), 0.0),
+        Vector3::new(a * libm::sin(p) + 0.3, b * libm::sin(q) + 0.5, 1.0),
+        Vector3::new(a * libm::cos(p), b * k * libm::cos(q), 0.0),
+        Vector3::new(-a * libm::sin(p), -b * k * k * libm::sin(q), 0.0),
     ]
 }
 
@@ -111,7 +111,7 @@ fn pushes_move_the_path_where_and_whither_they_push() {
                     for half_arc in [0.15, 0.2] {
                         let mut moved = Vec::new();
                         for hz in [0.3, 0.5, 0.8] {
-                            let direction = Vector3::new(f64::cos(turn), f64::sin(turn), 0.0);
+                            let direction = Vector3::new(libm::cos(turn), libm::sin(turn), 0.0);
                             let push = |force: f64, cycles: f64| {
                                 let mut dmp = wiping(kind, size);
                                 let (before, after, later) =
@@ -120,7 +120,7 @@ fn pushes_move_the_path_where_and_whither_they_push() {
                                         // Rises and falls like a hand's push; forces below the threshold are not
                                         // passed on.
                                         let felt = force
-                                            * (TAU / 4.0 * (away.abs() / half_arc).min(1.0)).cos().powi(2);
+                                            * libm::cos(TAU / 4.0 * (away.abs() / half_arc).min(1.0)).powi(2);
                                         if felt > 4.0 {
                                             CoachInput::Push { force: felt * direction }
                                         } else {

@@ -25,19 +25,19 @@ impl DecayKernels {
 
     /// The phase at `t` s of a movement of `duration` s.
     pub(super) fn phase_at(&self, t: f64, duration: f64) -> f64 {
-        (-self.alpha_x * t / duration).exp().max(MIN_PHASE)
+        libm::exp(-self.alpha_x * t / duration).max(MIN_PHASE)
     }
 
     /// Writes the kernel values at phase `x` to `out`. The sum is never 0.
     pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> Activation {
-        let u = (-x.ln() * self.per_log).clamp(0.0, (self.count - 1) as f64);
+        let u = (-libm::log(x) * self.per_log).clamp(0.0, (self.count - 1) as f64);
         let below = u as usize;
         let used = (below + 1).saturating_sub(REACH)..(below + 1 + REACH).min(self.count);
         out.fill(0.0);
         let mut sum = 0.0;
         for (i, o) in used.clone().zip(&mut out[used.clone()]) {
             let away = u - i as f64;
-            *o = (-away * away / 0.8).exp();
+            *o = libm::exp(-away * away / 0.8);
             sum += *o;
         }
         Activation { used, sum, gate: x }
@@ -54,7 +54,7 @@ impl Canonical for DecayKernels {
     }
 
     fn advance(&self, x: f64, dt: f64, scale: TimeScale) -> Result<f64, MotionError> {
-        Ok((x * (-self.alpha_x * scale.advance(dt)).exp()).max(MIN_PHASE))
+        Ok((x * libm::exp(-self.alpha_x * scale.advance(dt))).max(MIN_PHASE))
     }
 
     /// The gate is the phase: the forcing term decays with it.
@@ -73,7 +73,7 @@ mod tests {
         let kernels = DecayKernels::new(count, alpha);
         let mut psi = vec![0.0; count];
         for i in 0..count {
-            let x = (-alpha * i as f64 / (count - 1) as f64).exp();
+            let x = libm::exp(-alpha * i as f64 / (count - 1) as f64);
             let active = kernels.evaluate(x, &mut psi);
             assert!((psi[i] - 1.0).abs() < 1e-12 && (psi.iter().sum::<f64>() - active.sum).abs() < 1e-12);
         }

@@ -153,7 +153,7 @@ impl DiscreteDmp {
 
     /// The share of the duration that has passed; 1 at the end and more after it.
     pub fn progress(&self) -> f64 {
-        -self.dmp.phase().ln() / self.config.alpha_x
+        -libm::log(self.dmp.phase()) / self.config.alpha_x
     }
 
     /// Advances by `dt` s of a movement of `duration` s, which may change while running. After the duration the

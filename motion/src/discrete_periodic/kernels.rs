@@ -28,7 +28,8 @@ impl BlendedKernels {
         let n = config.periodic_kernels;
         let width = config.periodic_width.unwrap_or(1.25 * n as f64);
         let phases = config.canonical.spiral(turn, config.discrete_kernels)?;
-        let centres: Vec<[f64; 2]> = phases.iter().map(|(phi, r)| [r * phi.cos(), r * phi.sin()]).collect();
+        let centres: Vec<[f64; 2]> =
+            phases.iter().map(|(phi, r)| [r * libm::cos(*phi), r * libm::sin(*phi)]).collect();
         let mut widths: Vec<f64> = centres.windows(2).map(|q| 0.5 / distance_squared(q[0], q[1])).collect();
         widths.extend(widths.last().copied());
         finite("kernel widths", &widths)?;
@@ -71,7 +72,7 @@ impl BlendedKernels {
     /// Writes (7) times `a`. If the discrete set is used `alone`, its values are relative to the largest one, so
     /// that their sum is never 0, however far the phase is from every centre.
     fn along_spiral(&self, phase: f64, radius: f64, a: f64, alone: bool, out: &mut [f64]) -> f64 {
-        let (sin, cos) = phase.sin_cos();
+        let (sin, cos) = libm::sincos(phase);
         let here = [radius * cos, radius * sin];
         let mut nearest = f64::INFINITY;
         for (o, (q, h)) in out.iter_mut().zip(&self.spiral) {
@@ -83,7 +84,7 @@ impl BlendedKernels {
         for o in out.iter_mut() {
             let exponent = *o - offset;
             // Beyond this, a value is below the rounding error of the largest.
-            *o = if exponent > 60.0 { 0.0 } else { a * (-exponent).exp() };
+            *o = if exponent > 60.0 { 0.0 } else { a * libm::exp(-exponent) };
             sum += *o;
         }
         sum

@@ -79,7 +79,7 @@ impl CouplingLearner {
 
     /// The share of the learned information that is forgotten in `dt` s.
     pub(crate) fn forgotten(&self, dt: f64) -> f64 {
-        1.0 - self.forgetting.powf(dt / 0.01)
+        1.0 - libm::pow(self.forgetting, dt / 0.01)
     }
 
     /// Sets P of every kernel to `p`, limited to P(0).
@@ -102,7 +102,7 @@ impl CouplingLearner {
 
     /// (9) for the kernel values `psi` with the factor `r` of the forcing term, in a form without division by them.
     fn update_gain(&mut self, dt: f64, r: f64, psi: &[f64]) {
-        let lambda = self.forgetting.powf(dt / 0.01);
+        let lambda = libm::pow(self.forgetting, dt / 0.01);
         let r2 = r * r;
         for ((p, psi), share) in self.gain.iter_mut().zip(psi).zip(&mut self.share) {
             *p = (*p / (lambda + *p * r2 * psi)).min(self.initial_gain);

@@ -230,15 +230,15 @@ impl StepMatrix {
         // exp(-half a) times cos and sin / rate, written so that nothing overflows for wide steps.
         let (cosine, sine) = if squared > 1e-12 * stiffness {
             let rate = squared.sqrt();
-            let decay = (-half * advance).exp();
-            (decay * (rate * advance).cos(), decay * (rate * advance).sin() / rate)
+            let decay = libm::exp(-half * advance);
+            (decay * libm::cos(rate * advance), decay * libm::sin(rate * advance) / rate)
         } else if squared < -1e-12 * stiffness {
             let rate = (-squared).sqrt();
-            let slow = ((rate - half) * advance).exp();
-            let fast = ((-rate - half) * advance).exp();
+            let slow = libm::exp((rate - half) * advance);
+            let fast = libm::exp((-rate - half) * advance);
             (0.5 * (slow + fast), 0.5 * (slow - fast) / rate)
         } else {
-            let decay = (-half * advance).exp();
+            let decay = libm::exp(-half * advance);
             (decay, decay * advance)
         };
         Self { yy: cosine + half * sine, yz: sine, zy: -stiffness * sine, zz: cosine - half * sine }

@@ -135,7 +135,7 @@ impl FrictionModel {
             candidate.learn(&self.config, dt, normal, force, learned);
         }
         self.choose();
-        let share = 1.0 - (-dt / self.config.smoothing).exp();
+        let share = 1.0 - libm::exp(-dt / self.config.smoothing);
         self.smooth += (unexplained - self.smooth) * share;
         Ok(self.smooth.into())
     }
@@ -202,7 +202,7 @@ impl Candidate {
                 self.bristle /= self.bristle.norm().max(1.0);
             }
             Bend::Dahl => {
-                self.bristle = direction + (self.bristle - direction) * (-way / self.length).exp();
+                self.bristle = direction + (self.bristle - direction) * libm::exp(-way / self.length);
             }
         }
     }
@@ -215,7 +215,7 @@ impl Candidate {
     /// Updates how well it explains the force without pushes.
     fn score(&mut self, config: &FrictionConfig, dt: f64, pushed: bool) {
         let trust = if pushed { 0.01 } else { 1.0 };
-        let share = 1.0 - (-trust * dt / (0.3 * config.memory)).exp();
+        let share = 1.0 - libm::exp(-trust * dt / (0.3 * config.memory));
         let square = self.residual.norm_squared().min(4.0 * config.gate * config.gate);
         self.square += (square - self.square) * share;
     }
@@ -226,7 +226,7 @@ impl Candidate {
         if normal < 1.0 {
             return;
         }
-        let forgetting = (-trust * dt / config.memory).exp();
+        let forgetting = libm::exp(-trust * dt / config.memory);
         let rows = [
             RowVector3::new(-normal * self.bristle.x, 1.0, 0.0),
             RowVector3::new(-normal * self.bristle.y, 0.0, 1.0),
@@ -276,11 +276,11 @@ impl Reversal {
         let (Some(middle), Some(wing)) = (mean.try_normalize(1e-6), self.before.try_normalize(1e-9)) else {
             return force.try_normalize(1e-9).map_or_else(Vector2::zeros, |u| u * size);
         };
-        let half = middle.dot(&wing).clamp(-1.0, 1.0).acos();
+        let half = libm::acos(middle.dot(&wing).clamp(-1.0, 1.0));
         // The larger the change of direction, the less is known about the side over which it goes.
         let half = half + 3.0 * (half - FRAC_PI_4).max(0.0);
-        let angle = middle.perp(&force).atan2(middle.dot(&force)).clamp(-half, half);
-        let (sin, cos) = angle.sin_cos();
+        let angle = libm::atan2(middle.perp(&force), middle.dot(&force)).clamp(-half, half);
+        let (sin, cos) = libm::sincos(angle);
         let direction = Vector2::new(cos * middle.x - sin * middle.y, sin * middle.x + cos * middle.y);
         direction * direction.dot(&force).clamp(least.min(most), most)
     }

@@ -119,7 +119,7 @@ impl GazeSelection {
         let up = across.cross(axis);
         let ahead = thing.dot(axis);
         let off = [(across, self.config.across), (up, self.config.up)]
-            .map(|(side, half)| f64::atan2(thing.dot(&side).abs(), ahead) / half);
+            .map(|(side, half)| libm::atan2(thing.dot(&side).abs(), ahead) / half);
         ((1.0 - off[0].max(off[1])) / (1.0 - self.config.core)).clamp(0.0, 1.0)
     }
 

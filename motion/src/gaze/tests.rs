@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::*;
 
 fn towards(yaw: f64) -> Unit<Vector3<f64>> {
-    Unit::new_normalize(Vector3::new(yaw.sin(), yaw.cos(), 0.0))
+    Unit::new_normalize(Vector3::new(libm::sin(yaw), libm::cos(yaw), 0.0))
 }
 
 fn target(name: &str, yaw: f64, need: f64) -> GazeTarget {
@@ -24,7 +24,7 @@ proptest! {
     fn saliency_is_what_a_normal_place_leaves_outside(deviation in 1e-3_f64..0.5, within in 1e-3_f64..0.5) {
         let x = within / deviation;
         let steps = 4000;
-        let density = |r: f64| (2.0 / std::f64::consts::PI).sqrt() * r * r * (-r * r / 2.0).exp();
+        let density = |r: f64| (2.0 / std::f64::consts::PI).sqrt() * r * r * libm::exp(-r * r / 2.0);
         let step = x.min(12.0) / f64::from(steps);
         let inside: f64 = (0..steps).map(|i| density((f64::from(i) + 0.5) * step) * step).sum();
         prop_assert!((saliency(deviation, within) - (1.0 - inside)).abs() < 1e-4);
@@ -79,7 +79,7 @@ fn two_near_things_are_looked_at_together_and_two_far_ones_are_not() {
 fn what_the_neck_does_not_reach_is_left_for_what_it_does() {
     let targets = [target("behind", 2.5, 1.0), target("before", 0.3, 0.4)];
     let reached = |direction: &Unit<Vector3<f64>>| {
-        let yaw = direction.x.atan2(direction.y);
+        let yaw = libm::atan2(direction.x, direction.y);
         towards(yaw.clamp(-1.0, 1.0))
     };
     let view = selection().choose(0.1, &towards(0.0), &targets, reached).unwrap();

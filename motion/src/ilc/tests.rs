@@ -12,7 +12,7 @@ const DT: f64 = 0.004;
 fn wave(t: f64, lift: f64, a: f64, lead: f64) -> f64 {
     let s = (t / 1.0).clamp(0.0, 1.0);
     let rise = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s);
-    rise * (lift + a * (OMEGA * (t - 1.0) + lead).sin())
+    rise * (lift + a * libm::sin(OMEGA * (t - 1.0) + lead))
 }
 
 fn samples(of: impl Fn(f64) -> Vec<f64>) -> Vec<TimeSample> {

@@ -85,7 +85,7 @@ fn angular_velocity(e: &Vector3<f64>, ed: &Vector3<f64>) -> Vector3<f64> {
     let (a, b) = if angle < 1e-4 {
         (0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0)
     } else {
-        ((1.0 - angle.cos()) / angle2, (angle - angle.sin()) / (angle2 * angle))
+        ((1.0 - libm::cos(angle)) / angle2, (angle - libm::sin(angle)) / (angle2 * angle))
     };
     let turned = e.cross(ed);
     ed + a * turned + b * e.cross(&turned)
@@ -98,7 +98,7 @@ fn rotation_rate(e: &Vector3<f64>, omega: &Vector3<f64>) -> Vector3<f64> {
     let c = if angle < 1e-4 {
         1.0 / 12.0 + angle2 / 720.0
     } else {
-        (1.0 - 0.5 * angle * (0.5 * angle).cos() / (0.5 * angle).sin()) / angle2
+        (1.0 - 0.5 * angle * libm::cos(0.5 * angle) / libm::sin(0.5 * angle)) / angle2
     };
     let turned = e.cross(omega);
     omega - 0.5 * turned + c * e.cross(&turned)

@@ -29,7 +29,11 @@ fn rocking(centre: UnitQuaternion<f64>, size: f64) -> Vec<UnitQuaternion<f64>> {
     (0..400)
         .map(|k| {
             let phase = TAU * f64::from(k) / 400.0;
-            rotation(size * phase.sin(), 0.6 * size * (2.0 * phase).cos(), 0.3 * size * phase.cos()) * centre
+            rotation(
+                size * libm::sin(phase),
+                0.6 * size * libm::cos(2.0 * phase),
+                0.3 * size * libm::cos(phase),
+            ) * centre
         })
         .collect()
 }

@@ -288,8 +288,8 @@ impl AdaptiveOscillator {
         let age = (self.passed / TAU).max(0.0);
         let turned = self.loop_omega * dt;
         let drifting = self.drift.add(ahead, turned);
-        let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp() + 3.0 * drifting);
-        let share = 1.0 - (-2.0 * width * turned).exp();
+        let width = self.config.bandwidth * (1.0 + 0.5 * libm::exp(-age / 2.0) + 3.0 * drifting);
+        let share = 1.0 - libm::exp(-2.0 * width * turned);
         self.phase = (self.phase + share * ahead).rem_euclid(TAU);
         self.passed += share * ahead;
         let faster = (width * width * turned * ahead).clamp(-0.2, 0.2);
@@ -300,7 +300,7 @@ impl AdaptiveOscillator {
         let highest =
             if highest < self.config.harmonics as f64 { highest as usize } else { self.config.harmonics };
         let memory = (2.0 + 0.7 * age).min(self.config.memory);
-        let rate = (1.0 - (-turned / (TAU * memory)).exp()).min(1.0 / (2 * highest + 1) as f64);
+        let rate = (1.0 - libm::exp(-turned / (TAU * memory))).min(1.0 / (2 * highest + 1) as f64);
         self.series.learn(rate, &self.error, highest);
         self.periods.residual(turned, missed, self.series.power());
     }
@@ -312,7 +312,7 @@ impl AdaptiveOscillator {
             self.error[d] = v - self.value[d];
             missed += self.error[d] * self.error[d];
         }
-        let drive = -coupling * self.error[self.anchor] * self.phase.sin() * dt;
+        let drive = -coupling * self.error[self.anchor] * libm::sin(self.phase) * dt;
         self.advance(dt);
         self.phase = (self.phase + drive).rem_euclid(TAU);
         self.loop_omega = (self.loop_omega + drive).clamp(1e-3, 1e3);

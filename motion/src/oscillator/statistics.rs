@@ -17,7 +17,7 @@ impl Drift {
     /// Adds the phase error `ahead` of the last `turned` rad. Returns the certainty that it lasts, 0 to 1. A mean
     /// within the noise counts as 0.
     pub(super) fn add(&mut self, ahead: f64, turned: f64) -> f64 {
-        let share = 1.0 - (-turned / TAU).exp();
+        let share = 1.0 - libm::exp(-turned / TAU);
         self.mean += (ahead - self.mean) * share;
         self.square += (ahead * ahead - self.square) * share;
         self.noise = 3.0 * (0.5 * share * self.square).sqrt();
@@ -42,8 +42,8 @@ pub(super) struct Pace {
 impl Pace {
     pub(super) fn add(&mut self, dt: f64, omega: f64, v: f64) {
         let periods = self.hz * dt;
-        self.hz += (omega / TAU - self.hz) * (1.0 - (-periods).exp());
-        self.peak = v.abs().max(self.peak * (-periods / 8.0).exp());
+        self.hz += (omega / TAU - self.hz) * (1.0 - libm::exp(-periods));
+        self.peak = v.abs().max(self.peak * libm::exp(-periods / 8.0));
     }
 }
 

@@ -20,8 +20,8 @@ impl PhaseKernels {
         let centre = |i: usize| TAU * i as f64 / n as f64;
         let mut kernels = Self {
             width,
-            cos_centre: (0..n).map(|i| centre(i).cos()).collect(),
-            sin_centre: (0..n).map(|i| centre(i).sin()).collect(),
+            cos_centre: (0..n).map(|i| libm::cos(centre(i))).collect(),
+            sin_centre: (0..n).map(|i| libm::sin(centre(i))).collect(),
             mean: 0.0,
         };
         kernels.mean = kernels.mean_over_period();
@@ -50,11 +50,11 @@ impl PhaseKernels {
 
     /// Writes the `len()` kernel values at `phase` (rad) to `out` and returns their sum. Does not allocate.
     pub fn evaluate(&self, phase: f64, out: &mut [f64]) -> f64 {
-        let (sin, cos) = phase.sin_cos();
+        let (sin, cos) = libm::sincos(phase);
         let mut sum = 0.0;
         for ((o, c), s) in out.iter_mut().zip(&self.cos_centre).zip(&self.sin_centre) {
             // cos(phase - c_i), expanded so that all kernels share one sine and cosine.
-            let value = (self.width * (cos * c + sin * s - 1.0)).exp();
+            let value = libm::exp(self.width * (cos * c + sin * s - 1.0));
             *o = value;
             sum += value;
         }
@@ -64,7 +64,7 @@ impl PhaseKernels {
     fn mean_over_period(&self) -> f64 {
         // The trapezoid rule converges exponentially for periodic functions.
         let samples = 2000;
-        let value = |k: usize| (self.width * ((TAU * k as f64 / samples as f64).cos() - 1.0)).exp();
+        let value = |k: usize| libm::exp(self.width * (libm::cos(TAU * k as f64 / samples as f64) - 1.0));
         (0..samples).map(value).sum::<f64>() / samples as f64
     }
 }

@@ -6,8 +6,8 @@ use proptest::prelude::*;
 
 /// y = 0.2 + sin p + 0.3 cos 2p and its derivatives with respect to the phase.
 fn wave(p: f64) -> [f64; 3] {
-    let (s, c) = p.sin_cos();
-    let (s2, c2) = (2.0 * p).sin_cos();
+    let (s, c) = libm::sincos(p);
+    let (s2, c2) = libm::sincos(2.0 * p);
     [0.2 + s + 0.3 * c2, c - 0.6 * s2, -s - 1.2 * c2]
 }
 

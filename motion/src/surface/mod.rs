@@ -133,7 +133,7 @@ impl SurfaceAdaptation {
         within("omega", omega, 0.0, 1e4)?;
         within("force", force, -1e6, 1e6)?;
         let error = force - self.config.force;
-        self.smooth_error += (error - self.smooth_error) * (1.0 - (-dt / 0.05).exp());
+        self.smooth_error += (error - self.smooth_error) * (1.0 - libm::exp(-dt / 0.05));
         self.past.push(dt, self.feedback);
         let credited = phase - omega * self.config.delay;
         if self.learning_on {

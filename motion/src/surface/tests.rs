@@ -1,9 +1,10 @@
 //! Force adaptation on simulated contacts: lag, dead time, noise, tilt and bumps.
 
 use super::*;
+use armarium_values::random::StandardNormal;
+use rand::RngExt as _;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
 
 struct Bench {
     stiffness: f64,
@@ -18,14 +19,14 @@ struct Bench {
 
 /// A wiping path over a table tilted by 4 degrees about both axes with a bump of 5 mm.
 fn tilted(phase: f64) -> f64 {
-    let (x, y) = (0.06 * phase.cos(), 0.04 * phase.sin());
-    let bump = 0.005 * (-((x - 0.05).powi(2) + y.powi(2)) / (2.0 * 0.025_f64.powi(2))).exp();
+    let (x, y) = (0.06 * libm::cos(phase), 0.04 * libm::sin(phase));
+    let bump = 0.005 * libm::exp(-((x - 0.05).powi(2) + y.powi(2)) / (2.0 * 0.025_f64.powi(2)));
     0.07 * x - 0.04 * y + bump
 }
 
 fn of_the_design_page(phase: f64) -> f64 {
-    let (x, y) = (0.15 * phase.sin(), 0.1 * (2.0 * phase + 0.3).sin());
-    0.02 * x - 0.03 * y + 0.01 * (-((x - 0.1).powi(2) + (y - 0.05).powi(2)) / 0.005).exp()
+    let (x, y) = (0.15 * libm::sin(phase), 0.1 * libm::sin(2.0 * phase + 0.3));
+    0.02 * x - 0.03 * y + 0.01 * libm::exp(-((x - 0.1).powi(2) + (y - 0.05).powi(2)) / 0.005)
 }
 
 struct Result {
@@ -43,7 +44,6 @@ fn run(bench: &Bench, config: SurfaceConfig, cycles: u32) -> Result {
 /// `cycles` of adaptation, then 4 with the feedback off, on a simulated contact: arm lag, dead time, noise.
 fn run_from(bench: &Bench, mut adaptation: SurfaceAdaptation, cycles: u32) -> (Result, SurfaceAdaptation) {
     let mut random = ChaCha8Rng::seed_from_u64(7);
-    let noise = Normal::new(0.0, 0.3).unwrap();
     let omega = TAU * bench.hz;
     let dead = (bench.dead / bench.dt).round() as usize;
     let mut commands = vec![(0.0, 0.0); dead + 1];
@@ -53,14 +53,19 @@ fn run_from(bench: &Bench, mut adaptation: SurfaceAdaptation, cycles: u32) -> (R
     while adaptation.cycles() < cycles + 4 {
         // The hand follows the command of some time ago, with a lag, along the surface as well.
         let (old_offset, old_phase) = commands[k % (dead + 1)];
-        let share = 1.0 - (-bench.dt / bench.lag).exp();
+        let share = 1.0 - libm::exp(-bench.dt / bench.lag);
         z += share * (bench.start + old_offset - z);
         along += share * (old_phase - along);
         let truth = (bench.stiffness * ((bench.height)(along) - z)).max(0.0);
         let pace = if adaptation.cycles() < 3 { adaptation.pace() } else { 1.0 };
         let speed = omega * pace;
         let c = adaptation
-            .step(bench.dt, phase.rem_euclid(TAU), speed, truth + noise.sample(&mut random))
+            .step(
+                bench.dt,
+                phase.rem_euclid(TAU),
+                speed,
+                truth + 0.3 * random.sample::<f64, _>(StandardNormal),
+            )
             .unwrap();
         fastest = fastest.max(c.velocity.abs());
         commands[k % (dead + 1)] = (c.offset, phase);

@@ -94,7 +94,7 @@ fn two_runs_in_lockstep_are_the_same() {
             let mut seen = Vec::new();
             while sensed.changed().await.is_ok() {
                 let now = sensed.borrow_and_update();
-                let _ = lease.command(&vec![(now.stamp_ns as f64 * 2e-8).sin() * 0.3; arm.joints.len()]);
+                let _ = lease.command(&vec![libm::sin(now.stamp_ns as f64 * 2e-8) * 0.3; arm.joints.len()]);
                 seen.push((now.stamp_ns, now.position.clone()));
             }
             task.await.unwrap().unwrap();

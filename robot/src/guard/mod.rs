@@ -321,7 +321,7 @@ fn roll_only(platform: &Platform, position: &[f64], velocity: &mut [f64]) {
     let [x, y, yaw] = platform.joints;
     if platform.kind == PlatformKind::Differential {
         // It looks along its y.
-        let forward = Vector2::new(-position[yaw].sin(), position[yaw].cos());
+        let forward = Vector2::new(-libm::sin(position[yaw]), libm::cos(position[yaw]));
         let rolling = forward * forward.dot(&Vector2::new(velocity[x], velocity[y]));
         (velocity[x], velocity[y]) = (rolling.x, rolling.y);
     }

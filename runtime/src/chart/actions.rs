@@ -8,8 +8,8 @@ use armarium_values::Type;
 use armarium_values::expr::nearest;
 
 use super::compile::Compiler;
-use super::expressions::Site;
 use super::model::{self, ActionKind};
+use super::scope::Site;
 use super::symbols::Symbol;
 use crate::program::{Action, Pattern, Send, StateId, Term, Transition};
 

@@ -11,13 +11,14 @@ use armarium_values::{Type, Value};
 
 use super::catalog::{ChannelSchema, Registry};
 use super::channels::{KnownChannels, channels};
-use super::expressions::{self, ChartNames, Scope, Site};
+use super::expressions;
 use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
 use super::lint::lint;
 use super::literals::negative_time;
 use super::model::{self, Chart};
 use super::names::unknown_names;
+use super::scope::{ChartNames, Scope, Site};
 use super::suspicious::suspicious;
 use super::symbols::{Collector, HeadSection, SkillPart, Symbol};
 use crate::observed::{MemoryPattern, ObservedPattern};

@@ -8,10 +8,10 @@ use armarium_source::{Finding, Findings, Remedy, Severity, Span, code};
 use armarium_values::expr::nearest;
 
 use super::early::early;
-use super::expressions::{MAX_HELP, MAX_NAMES};
 use super::flatten::{Inside, Tree};
 use super::library::Library;
 use super::model::{self, ActionKind};
+use super::scope::{MAX_HELP, MAX_NAMES};
 use super::scoped::{Scoped, can_end, reached, scoped};
 use crate::program::limbs::Limbs;
 use crate::program::{Kind, Pattern, Program, State, StateId};

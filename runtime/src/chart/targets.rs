@@ -4,8 +4,8 @@ use armarium_source::yaml::Named;
 use armarium_source::{Remedy, code};
 
 use super::compile::Compiler;
-use super::expressions::{self, Site};
 use super::model;
+use super::scope::{self, Site};
 use crate::program::StateId;
 
 impl Compiler<'_> {
@@ -22,7 +22,7 @@ impl Compiler<'_> {
                 // Where no state could be read at all, that was said already.
                 None if tree.state(id).model.kind.children().is_empty() => {}
                 None => {
-                    let known = tree.state(id).model.kind.children().iter().take(expressions::MAX_NAMES);
+                    let known = tree.state(id).model.kind.children().iter().take(scope::MAX_NAMES);
                     let message = format!("there is no state `{}` inside", name.text);
                     self.unknown(site, code::STATE, name, message, known.map(|c| c.name.text.as_str()));
                 }

@@ -104,7 +104,7 @@ mod tests {
         let localizer = ObjectLocalizer::new(eyes.calibration(), sponge.size, sponge.color);
         let seen = localizer.localize(&alices).unwrap();
         let place = (world.agents[0].root_from_agent() * seen.root_from_object).translation;
-        let off = (place.x - sponge.at[0]).hypot(place.y - sponge.at[1]);
+        let off = libm::hypot(place.x - sponge.at[0], place.y - sponge.at[1]);
         assert!(off < 0.015, "{place:?} is {off} m off");
     }
 }

@@ -304,8 +304,8 @@ fn blotches(world: &World, table: &TableTop, seed: u64) -> DirtTexture {
     let [hx, hy] = table.half();
     for _ in 0..90 {
         let (angle, distance) = (rng.random::<f64>() * std::f64::consts::TAU, rng.random::<f64>().sqrt());
-        let x = middle.x + DIRTY_RADIUS * distance * angle.cos();
-        let y = middle.y + DIRTY_RADIUS * distance * angle.sin();
+        let x = middle.x + DIRTY_RADIUS * distance * libm::cos(angle);
+        let y = middle.y + DIRTY_RADIUS * distance * libm::sin(angle);
         let radius = 0.012 + 0.03 * rng.random::<f64>();
         let strength = 60.0 + 120.0 * rng.random::<f64>();
         for row in 0..texture.rows {

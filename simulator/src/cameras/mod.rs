@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use armarium_robot::{Kinematics, LinkId, newest};
+use armarium_values::random::StandardNormal;
 use armarium_visionx::{
     DepthImage, ImageError, ImageSource, PinholeCamera, RgbImage, SharedImage, StereoCalibration, StereoFrame,
 };
@@ -21,7 +22,6 @@ use async_trait::async_trait;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use crate::coach::HandShown;
 use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};

@@ -279,7 +279,7 @@ impl Coaching {
         let patience = MAX_CYCLES_FACTOR * f64::from(push.cycles) / self.path.frequency();
         let over = t - *from > patience || (gone && !now_inside);
         if now_inside {
-            state.push = Vector3::from(push.force) * (FRAC_PI_2 * near).cos().powi(2);
+            state.push = Vector3::from(push.force) * libm::cos(FRAC_PI_2 * near).powi(2);
         }
         let left = *inside && !now_inside;
         *inside = now_inside;
@@ -364,7 +364,7 @@ impl Coaching {
         let seen = seen.map(|arm| arm.tcp.coords);
         let own = self.path.point(phase * std::f64::consts::TAU);
         match seen {
-            Some(p) if (p.x - own[0]).hypot(p.y - own[1]) < 0.12 => p,
+            Some(p) if libm::hypot(p.x - own[0], p.y - own[1]) < 0.12 => p,
             other => Vector3::new(own[0], own[1], other.map_or(1.05, |p| p.z)),
         }
     }

@@ -32,21 +32,21 @@ impl CoachPath {
     /// The point at `theta` rad, m.
     pub fn point(&self, theta: f64) -> [f64; 2] {
         let y = match self.shape {
-            PathShape::Ellipse => theta.sin(),
-            PathShape::Eight => (2.0 * theta).sin(),
-            PathShape::Line => theta.cos(),
+            PathShape::Ellipse => libm::sin(theta),
+            PathShape::Eight => libm::sin(2.0 * theta),
+            PathShape::Line => libm::cos(theta),
         };
-        [self.center[0] + self.half[0] * theta.cos(), self.center[1] + self.half[1] * y]
+        [self.center[0] + self.half[0] * libm::cos(theta), self.center[1] + self.half[1] * y]
     }
 
     /// The derivative of the point by `theta`, m/rad.
     pub fn tangent(&self, theta: f64) -> [f64; 2] {
         let y = match self.shape {
-            PathShape::Ellipse => theta.cos(),
-            PathShape::Eight => 2.0 * (2.0 * theta).cos(),
-            PathShape::Line => -theta.sin(),
+            PathShape::Ellipse => libm::cos(theta),
+            PathShape::Eight => 2.0 * libm::cos(2.0 * theta),
+            PathShape::Line => -libm::sin(theta),
         };
-        [-self.half[0] * theta.sin(), self.half[1] * y]
+        [-self.half[0] * libm::sin(theta), self.half[1] * y]
     }
 
     /// The middle, m.
@@ -88,12 +88,12 @@ impl Wobble {
 
     /// The noise at a time, s.
     pub fn at(&self, t: f64) -> f64 {
-        self.waves.iter().map(|(w, p)| (w * t + p).sin()).sum::<f64>() * (2.0f64 / 7.0).sqrt()
+        self.waves.iter().map(|(w, p)| libm::sin(w * t + p)).sum::<f64>() * (2.0f64 / 7.0).sqrt()
     }
 
     /// The integral of the noise from 0 to a time, s.
     pub fn integral(&self, t: f64) -> f64 {
-        let sum: f64 = self.waves.iter().map(|(w, p)| (p.cos() - (w * t + p).cos()) / w).sum();
+        let sum: f64 = self.waves.iter().map(|(w, p)| (libm::cos(*p) - libm::cos(w * t + p)) / w).sum();
         sum * (2.0f64 / 7.0).sqrt()
     }
 }

@@ -4,47 +4,10 @@
 //! the body that carries them, in the robot's present posture. This module only computes the bodies and does not step
 //! them.
 
-use armarium_robot::{Geometry, Inertial, JointKind, LinkId, Model};
-use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
+use armarium_robot::{Geometry, JointKind, LinkId, Model};
+use nalgebra::{Isometry3, Unit, Vector3};
 
-/// Mass, centre and inertia about the centre, in one frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Mass {
-    pub(super) mass: f64,
-    /// First moment: mass times centre, kg m.
-    moment: Vector3<f64>,
-    /// Inertia about the frame's origin, kg m^2.
-    about_origin: Matrix3<f64>,
-}
-
-impl Mass {
-    /// Adds a body whose inertia about its own centre is given along the frame's axes.
-    fn add(&mut self, mass: f64, center: &Point3<f64>, inertia: &Matrix3<f64>) {
-        self.mass += mass;
-        self.moment += center.coords * mass;
-        self.about_origin += inertia + steiner(mass, &center.coords);
-    }
-
-    /// Adds a link at its pose in the frame, `scale` times as heavy as its description says.
-    fn add_link(&mut self, inertial: &Inertial, frame_from_link: &Isometry3<f64>, scale: f64) {
-        let r = frame_from_link.rotation.to_rotation_matrix();
-        let inertia = r.matrix() * inertial.inertia * r.matrix().transpose() * scale;
-        self.add(inertial.mass * scale, &(frame_from_link * inertial.center), &inertia);
-    }
-
-    pub(super) fn center(&self) -> Point3<f64> {
-        if self.mass > 0.0 { Point3::from(self.moment / self.mass) } else { Point3::origin() }
-    }
-
-    /// Inertia about the centre, kg m^2.
-    pub(super) fn inertia(&self) -> Matrix3<f64> {
-        self.about_origin - steiner(self.mass, &self.center().coords)
-    }
-}
-
-fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
-    (Matrix3::identity() * c.norm_squared() - c * c.transpose()) * mass
-}
+use super::mass::Mass;
 
 /// One body of the physics with its joint. Its frame is that of the link that the joint moves.
 #[derive(Clone, Debug)]

@@ -8,6 +8,7 @@ use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 use super::assembly::{Assembly, Lump, joint_motion};
 use super::convert;
 use super::drives::{Body, Servo};
+use super::mass::Mass;
 use super::plant::{DT, Object, PAD_FRICTION};
 use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction};
@@ -97,7 +98,6 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
         true => rapier::RigidBodyBuilder::fixed(),
         false => rapier::RigidBodyBuilder::dynamic(),
     };
-    let handle = physics.insert_body(body.pose(convert::pose(pose)).can_sleep(false));
     let (all, handles) = (spec.parts(), spec.handle_parts().len());
     let plain = all.len() - handles;
     let form = |(i, part): (usize, &Visual)| {
@@ -117,8 +117,12 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
     let parts: Vec<_> = all.iter().enumerate().map(form).collect();
     let volume: f64 = parts.iter().map(|part| part.shape.mass_properties(1.0).mass()).sum();
     let density = if volume > 0.0 { spec.mass / volume } else { 0.0 };
+    let mut mass = Mass::default();
+    parts.iter().for_each(|part| mass.add_shape(part, density));
+    let body = body.additional_mass_properties(mass.properties(0.0));
+    let handle = physics.insert_body(body.pose(convert::pose(pose)).can_sleep(false));
     let colliders: Vec<ColliderHandle> =
-        parts.into_iter().map(|part| physics.insert_collider(part.density(density), Some(handle))).collect();
+        parts.into_iter().map(|part| physics.insert_collider(part.density(0.0), Some(handle))).collect();
     let guided = attach(physics, handle, pose, spec);
     let reaction = FoundationReaction::default();
     let cuboid = (spec.shape == BodyShape::Box).then(|| spec.half());
@@ -271,14 +275,9 @@ pub(super) fn add_robot(
 }
 
 fn lump_body(lump: &Lump, pose: &Isometry3<f64>, errors: &RobotErrors) -> rapier::RigidBodyBuilder {
-    let mass = rapier::MassProperties::with_inertia_matrix(
-        convert::vector(&lump.mass.center().coords),
-        lump.mass.mass.max(0.01),
-        convert::matrix(&lump.mass.inertia()),
-    );
     rapier::RigidBodyBuilder::dynamic()
         .pose(convert::pose(pose))
-        .additional_mass_properties(mass)
+        .additional_mass_properties(lump.mass.properties(0.01))
         .gravity_scale(errors.gravity)
         .can_sleep(false)
 }

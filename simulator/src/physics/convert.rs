@@ -25,7 +25,6 @@ pub(super) fn to_pose(p: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(to_vector(p.translation)), rotation)
 }
 
-pub(super) fn matrix(m: &Matrix3<f64>) -> Matrix {
-    let column = |k: usize| Vector::new(m[(0, k)], m[(1, k)], m[(2, k)]);
-    Matrix::from_cols(column(0), column(1), column(2))
+pub(super) fn to_matrix(m: &Matrix) -> Matrix3<f64> {
+    Matrix3::from_columns(&[m.x_axis, m.y_axis, m.z_axis].map(to_vector))
 }

@@ -10,6 +10,7 @@ mod drives;
 pub mod grip;
 mod hand;
 mod holding;
+mod mass;
 pub mod pad;
 mod people;
 mod plant;

@@ -140,8 +140,8 @@ fn servos_track_a_moving_set_point() {
         let ramp = (t / 0.5).min(1.0);
         for (k, &j) in arm.iter().enumerate() {
             let phase = omega * t + k as f64;
-            q[j] = q0[j] + amplitude * ramp * (phase.sin() - (k as f64).sin());
-            v[j] = amplitude * omega * phase.cos() * ramp;
+            q[j] = q0[j] + amplitude * ramp * (libm::sin(phase) - libm::sin(k as f64));
+            v[j] = amplitude * omega * libm::cos(phase) * ramp;
         }
         plant.step(&[(&q, &v)], &External::default());
         kinematics.update(&q);

@@ -8,9 +8,10 @@ use armarium_robot::ForceTorque;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rapier3d_f64::prelude::RigidBody;
 
-use super::assembly::{Mass, Wrist};
+use super::assembly::Wrist;
 use super::convert;
 use super::grip::Load;
+use super::mass::Mass;
 use super::plant::DT;
 use crate::world::GRAVITY;
 

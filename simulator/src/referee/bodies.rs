@@ -63,7 +63,7 @@ fn bodies(run: &Run<'_>) -> Vec<BodyFigures> {
         Some(BodyFigures {
             name: spec.name.clone(),
             moved_m: moved.norm(),
-            tipped_deg: then.dot(&now).clamp(-1.0, 1.0).acos().to_degrees(),
+            tipped_deg: libm::acos(then.dot(&now).clamp(-1.0, 1.0)).to_degrees(),
             fell: moved.z < -FALLEN,
             spilled: balls.map(|_| own.filter(is_out).count()),
             touched_with_n: run.log.strongest.get(&Touched::Body(index)).copied().unwrap_or_default(),

@@ -286,5 +286,5 @@ fn far_side(before: &Period, after: &Period, index: usize) -> f64 {
 fn angle_deg(shift: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
     let flat = |v: &Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
     let (a, b) = (flat(shift).try_normalize(1e-6)?, flat(direction).try_normalize(1e-6)?);
-    Some(a.dot(&b).clamp(-1.0, 1.0).acos().to_degrees())
+    Some(libm::acos(a.dot(&b).clamp(-1.0, 1.0)).to_degrees())
 }

@@ -116,7 +116,7 @@ fn demonstrated(path: &CoachPath, records: &[Record]) -> Vec<[f64; 2]> {
         (0..180).map(|i| path.point(std::f64::consts::TAU * f64::from(i) / 180.0)).collect();
     let half = path.half();
     let far = NEAR * half[0].abs().max(half[1].abs());
-    let near = |p: &[f64; 2]| ideal.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < far);
+    let near = |p: &[f64; 2]| ideal.iter().any(|q| libm::hypot(p[0] - q[0], p[1] - q[1]) < far);
     let tool = |r: &Record| r.tool.map(|t| [t.x, t.y]).filter(near);
     let points: Vec<Option<[f64; 2]>> = records.iter().step_by(STRIDE).map(tool).collect();
     let stretches = points.split(Option::is_none);
@@ -163,7 +163,7 @@ mod tests {
         let drawn = demonstrated(&path, &records);
         assert!((3000..3100).contains(&drawn.len()), "{}", drawn.len());
         let reach = 0.7 * shown.size[0].max(shown.size[1]);
-        assert!(drawn.iter().all(|p| (p[0] - cx).hypot(p[1] - cy) < reach));
+        assert!(drawn.iter().all(|p| libm::hypot(p[0] - cx, p[1] - cy) < reach));
         assert!(demonstrated(&path, &[]).is_empty());
     }
 }

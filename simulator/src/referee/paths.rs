@@ -159,7 +159,7 @@ pub(super) fn index_of_phase(period: &Period, path: &CoachPath, phase: f64) -> u
 }
 
 fn unit(x: f64, y: f64) -> (f64, f64) {
-    let n = x.hypot(y);
+    let n = libm::hypot(x, y);
     if n > 1e-12 { (x / n, y / n) } else { (0.0, 0.0) }
 }
 
@@ -235,7 +235,7 @@ mod tests {
             let mut after = before;
             for (i, point) in after.iter_mut().enumerate() {
                 let off = (i as f64 - 90.0) / 25.0;
-                *point += Vector3::new(0.02, 0.04, 0.0) * (-0.5 * off * off).exp() + Vector3::y() * 0.01;
+                *point += Vector3::new(0.02, 0.04, 0.0) * libm::exp(-0.5 * off * off) + Vector3::y() * 0.01;
             }
             let late: Period = std::array::from_fn(|i| after[(i + 100) % POINTS]);
             let found = aligned(&before, &late);

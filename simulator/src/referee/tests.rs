@@ -78,7 +78,7 @@ fn a_perfect_run_has_perfect_figures() {
 fn a_weak_force_wipes_nothing_and_errors_are_counted() {
     let (world, log) = run(30.0, |_| 2.0, |_, _| 0.0);
     assert_eq!(compute(&world, &log, &marks(10, 12))["wiped_fraction"], 0.0);
-    let wave = |t: f64| 8.0 + 2.0 * (TAU * 0.5 * t).sin();
+    let wave = |t: f64| 8.0 + 2.0 * libm::sin(TAU * 0.5 * t);
     let (world, log) = run(30.0, wave, |_, _| 0.0);
     let report = compute(&world, &log, &marks(10, 12));
     assert!((number(&report, "/force/rms_error_n") - 2f64.sqrt()).abs() < 1e-3, "{report}");
@@ -97,7 +97,7 @@ fn a_local_shift_is_measured_where_it_is() {
         } else {
             0.024
         };
-        height * (-(off / 0.08).powi(2)).exp()
+        height * libm::exp(-(off / 0.08).powi(2))
     };
     let (world, mut log) = run(45.0, |_| 8.0, bump);
     for (t, event) in [(15.0, EventKind::Began), (28.0, EventKind::Ended)] {

@@ -1,10 +1,10 @@
 //! The errors of a depth camera: noise and steps that grow with the square of the distance, no depth at edges, at grazing
 //! angles, and out of its range.
 
+use armarium_values::random::StandardNormal;
 use armarium_visionx::DepthImage;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use crate::world::DepthSpec;
 
@@ -69,7 +69,7 @@ impl DepthSensor {
         let mut holes = vec![0; w * h];
         // One pixel is z / focal wide. Squares are compared, as a root for each pixel takes longer than all the rest.
         let slope = match self.spec.grazing_deg < 90.0 {
-            true => (self.spec.grazing_deg.to_radians().tan() as f32 / focal).powi(2),
+            true => (libm::tan(self.spec.grazing_deg.to_radians()) as f32 / focal).powi(2),
             false => f32::INFINITY,
         };
         let (reach, edge) = (self.spec.edge as usize, if self.spec.edge > 0 { EDGE } else { f32::INFINITY });
@@ -139,7 +139,7 @@ mod tests {
         assert_eq!(sensed.data[98..102], [1.0, 0.0, 0.0, 2.0]);
         // A floor that is seen under 85 degrees: its depth changes by tan(85 deg) / 500 of itself per pixel.
         let mut floor = wall(1.0);
-        let growth = 1.0 + 85f32.to_radians().tan() / 500.0;
+        let growth = 1.0 + libm::tanf(85f32.to_radians()) / 500.0;
         for (v, row) in floor.data.chunks_mut(200).enumerate() {
             row.fill(growth.powi(v as i32));
         }

@@ -156,11 +156,11 @@ fn finger_segments(finger: &Finger, index: usize, pose: &HandPose) -> Vec<Segmen
     let flexion = pose.flexion[index + 1];
     // Bent fingers are less spread.
     let spread = pose.spread * finger.spread * (1.0 - flexion).max(0.0);
-    let straight = Vector3::new(0.0, spread.sin(), spread.cos());
+    let straight = Vector3::new(0.0, libm::sin(spread), libm::cos(spread));
     let mut angle = 0.0;
     chain(finger, |joint| {
         angle += CLOSED[joint] * flexion;
-        Vector3::x() * angle.sin() + straight * angle.cos()
+        Vector3::x() * libm::sin(angle) + straight * libm::cos(angle)
     })
 }
 

@@ -6,10 +6,11 @@
 
 use std::sync::Arc;
 
+use armarium_values::random::StandardNormal;
 use armarium_visionx::RgbImage;
+use rand::distr::Distribution;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
 /// Number of bytes of a picture that share one random position in the tile.
 const STRETCH: usize = 640;

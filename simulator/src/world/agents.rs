@@ -54,7 +54,7 @@ impl AgentSpec {
     /// The agent's own root frame in the robot's: on the floor below its eyes, y towards what it looks at, z up.
     pub fn root_from_agent(&self) -> Isometry3<f64> {
         let ahead = self.ahead();
-        let yaw = if ahead.xy().norm() < 1e-6 { 0.0 } else { (-ahead.x).atan2(ahead.y) };
+        let yaw = if ahead.xy().norm() < 1e-6 { 0.0 } else { libm::atan2(-ahead.x, ahead.y) };
         Isometry3::new(Vector3::new(self.at[0], self.at[1], 0.0), Vector3::z() * yaw)
     }
 

@@ -445,7 +445,7 @@ impl BodySpec {
             BodyShape::Cylinder | BodyShape::Sphere | BodyShape::Cup => {
                 let corner = |n: u32| Rotation2::new(TAU * f64::from(n) / f64::from(ROUND)) * Vector2::x();
                 // Around the circle, not in it.
-                let radius = half.x / (TAU / f64::from(ROUND) / 2.0).cos();
+                let radius = half.x / libm::cos(TAU / f64::from(ROUND) / 2.0);
                 (0..ROUND).map(|n| corner(n) * radius).collect()
             }
             _ => [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
@@ -477,7 +477,7 @@ impl BodySpec {
         let (radius, wall) = (self.diameter / 2.0, self.wall);
         let bottom = Geometry::Cylinder { radius, length: wall };
         let mut parts = vec![part(bottom, Vector3::z() * ((wall - self.height) / 2.0))];
-        let width = 2.0 * radius * (TAU / f64::from(STAVES) / 2.0).tan();
+        let width = 2.0 * radius * libm::tan(TAU / f64::from(STAVES) / 2.0);
         parts.extend((0..STAVES).map(|i| {
             let turn =
                 UnitQuaternion::from_axis_angle(&Vector3::z_axis(), TAU * f64::from(i) / f64::from(STAVES));

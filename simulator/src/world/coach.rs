@@ -108,7 +108,7 @@ form! {
 impl SwipeSpec {
     fn goes_somewhere(&self, node: &Node, findings: &mut Findings) {
         let [dx, dy] = [self.to[0] - self.from[0], self.to[1] - self.from[1]];
-        if dx.hypot(dy) < 0.02 {
+        if libm::hypot(dx, dy) < 0.02 {
             let help = Some("`from` and `to` differ by 2 cm or more".into());
             findings.error_help(code::VALUE, node.span, "the swipe goes nowhere", help);
         }

@@ -80,7 +80,7 @@ form! {
 impl Disturbance {
     /// Its force when it has lasted `age` s, root frame, N.
     pub(crate) fn force_at(&self, age: f64) -> Vector3<f64> {
-        let rise = if self.steady { 1.0 } else { (std::f64::consts::PI * age / self.duration).sin() };
+        let rise = if self.steady { 1.0 } else { libm::sin(std::f64::consts::PI * age / self.duration) };
         Vector3::from(self.force) * rise
     }
 }

@@ -55,7 +55,7 @@ impl Arrival {
             *self = Self::default();
         }
         self.seen_ns = stamp_ns;
-        let share = 1.0 - (-unseen / SMOOTHING).exp();
+        let share = 1.0 - libm::exp(-unseen / SMOOTHING);
         let smooth = self.smooth.map_or(palm, |old| old + (palm - old) * share);
         self.smooth = Some(smooth);
         let period = motion.map_or(0.0, |(_, frequency)| 1.0 / frequency.max(0.05));

@@ -13,7 +13,7 @@ async fn memory_with_motion() -> (Arc<dyn Memory>, EntityId, RunningMotions) {
     let mut circle = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
     let sample = |k: u32| {
         let phase = TAU * f64::from(k) / 200.0;
-        let (s, c) = (0.1 * phase.sin(), 0.1 * phase.cos());
+        let (s, c) = (0.1 * libm::sin(phase), 0.1 * libm::cos(phase));
         PhaseSample { phase, y: vec![c, s, 0.7], dy: vec![-s, c, 0.0], ddy: vec![-c, -s, 0.0] }
     };
     circle.learn_batch(&(0..200).map(sample).collect::<Vec<_>>()).unwrap();

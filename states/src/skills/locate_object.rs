@@ -95,7 +95,7 @@ fn median(sights: Vec<Observation>, tilt: &UnitQuaternion<f64>) -> Option<Observ
     };
     let yaw = |pose: &Isometry3<f64>| {
         let turned = tilt.inverse() * pose.rotation * Vector3::x();
-        turned.y.atan2(turned.x)
+        libm::atan2(turned.y, turned.x)
     };
     let first = yaw(poses.first()?);
     let turn = |pose: &Isometry3<f64>| {

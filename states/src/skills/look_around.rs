@@ -63,7 +63,7 @@ fn views(side: f64, down: f64) -> Vec<(f64, f64)> {
 fn point(eye: &Point3<f64>, ahead: &Vector3<f64>, turn: f64, down: f64) -> Point3<f64> {
     let level = Vector3::new(ahead.x, ahead.y, 0.0).try_normalize(1e-6).unwrap_or_else(Vector3::y);
     let level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * level;
-    eye + (level * down.cos() - Vector3::z() * down.sin()) * DISTANCE
+    eye + (level * libm::cos(down) - Vector3::z() * libm::sin(down)) * DISTANCE
 }
 
 #[cfg(test)]
@@ -77,6 +77,6 @@ mod tests {
         assert!(views.windows(2).all(|pair| (pair[0].0 - pair[1].0).abs() < STEP));
         assert!(views.contains(&(-0.9, 0.7)) && views.contains(&(0.9, 0.7)));
         let at = point(&Point3::new(0.0, 0.0, 1.6), &Vector3::new(0.0, 0.9, -0.4), 0.0, 0.7);
-        assert!(at.x.abs() < 1e-9 && at.y > 0.0 && (at.z - (1.6 - 2.0 * 0.7_f64.sin())).abs() < 1e-9);
+        assert!(at.x.abs() < 1e-9 && at.y > 0.0 && (at.z - (1.6 - 2.0 * libm::sin(0.7_f64))).abs() < 1e-9);
     }
 }

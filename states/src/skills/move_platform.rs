@@ -111,7 +111,7 @@ fn error(here: &Isometry3<f64>, goal: &Isometry3<f64>) -> (Vector2<f64>, f64) {
 
 fn turn_between(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> f64 {
     let x = from.inverse() * (to * Vector3::x());
-    x.y.atan2(x.x)
+    libm::atan2(x.y, x.x)
 }
 
 struct Drive {
@@ -135,8 +135,9 @@ impl Drive {
                 let forward = (here.rotation * Vector3::y()).xy();
                 let ahead = forward.dot(&off);
                 let aside = forward.perp(&off);
-                let bearing = if ahead < 0.0 { (-aside).atan2(-ahead) } else { aside.atan2(ahead) };
-                let straight = bearing.cos().max(0.0).powi(8);
+                let bearing =
+                    if ahead < 0.0 { libm::atan2(-aside, -ahead) } else { libm::atan2(aside, ahead) };
+                let straight = libm::cos(bearing).max(0.0).powi(8);
                 (forward * (bounded(ahead, self.speed) * straight), bounded(bearing, self.turn))
             }
             _ => {

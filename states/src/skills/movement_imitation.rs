@@ -125,7 +125,7 @@ fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<Peri
     weights[2 * kernels..].fill(0.0);
     placed.set_weights(&weights)?;
     let away = [middle.x - half(0), middle.y - half(1)];
-    let shift = if away[0].hypot(away[1]) < MAX_OFFSET { [0.0; 2] } else { away };
+    let shift = if libm::hypot(away[0], away[1]) < MAX_OFFSET { [0.0; 2] } else { away };
     placed.set_centre(&[learned.centre()[0] + shift[0], learned.centre()[1] + shift[1], middle.z])?;
     placed.start_on_path(0.0, std::f64::consts::TAU * frequency_hz)?;
     Ok(placed)

@@ -374,7 +374,7 @@ fn texts_can_be_read_on_what_is_behind_them_in_both_themes() {
     let luminance = |color: u32| {
         let [_, r, g, b] = color.to_be_bytes().map(|c| {
             let c = f64::from(c) / 255.0;
-            if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+            if c <= 0.04045 { c / 12.92 } else { libm::pow((c + 0.055) / 1.055, 2.4) }
         });
         0.2126 * r + 0.7152 * g + 0.0722 * b
     };

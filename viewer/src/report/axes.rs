@@ -73,10 +73,10 @@ pub(super) fn ticks(range: [f64; 2], count: usize) -> Vec<(f64, String)> {
         return Vec::new();
     }
     let raw = span / count.max(1) as f64;
-    let power = 10_f64.powf(raw.log10().floor());
+    let power = libm::pow(10_f64, libm::log10(raw).floor());
     let step =
         [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= raw * 0.999).unwrap_or(raw);
-    let digits = (-(step * 1.001).log10().floor()).clamp(0.0, 9.0) as usize;
+    let digits = (-libm::log10(step * 1.001).floor()).clamp(0.0, 9.0) as usize;
     let first = (range[0] / step - 1e-9).ceil() as i64;
     let last = (range[1] / step + 1e-9).floor() as i64;
     (first..=last.min(first.saturating_add(100)))

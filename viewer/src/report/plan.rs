@@ -88,7 +88,7 @@ pub(super) fn thinned(points: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
     let mut kept: Vec<[f64; 2]> = Vec::new();
     let mut last = None;
     for point in points {
-        let near = |k: &[f64; 2]| (k[0] - point[0]).hypot(k[1] - point[1]) < 0.5;
+        let near = |k: &[f64; 2]| libm::hypot(k[0] - point[0], k[1] - point[1]) < 0.5;
         if kept.last().is_some_and(near) {
             last = Some(point);
         } else {

@@ -91,7 +91,7 @@ impl Surface {
         let covariance = covariance + Matrix3::identity() * MOUNTING.powi(2);
         surface.information = covariance.try_inverse().filter(|i| i.iter().all(|x| x.is_finite()))?;
         let p = probability.clamp(0.01, 0.99);
-        surface.existence = (p / (1.0 - p)).ln().min(REMEMBERED);
+        surface.existence = libm::log(p / (1.0 - p)).min(REMEMBERED);
         let count = |size: f64| (size / 2.0 / CELL).clamp(0.0, 60.0) as i16;
         let (x, y) = (count(size[0]), count(size[1]));
         surface.cells =
@@ -119,7 +119,7 @@ impl Surface {
         let pose = Matrix3::from_diagonal(&Vector3::new(across * across, tilt * tilt, tilt * tilt));
         let Some(covariance) = information.try_inverse().map(|noise| noise + pose) else { return };
         let Some(information) = covariance.try_inverse() else { return };
-        let kept = (-dt / KEPT_S).exp();
+        let kept = libm::exp(-dt / KEPT_S);
         let information = self.information * kept + information;
         let weighted = self.weighted * kept + (information - self.information * kept) * measured;
         if let Some(known) = information.cholesky() {
@@ -207,7 +207,7 @@ impl Surface {
         if self.cells.values().all(|odds| *odds <= 0.0) {
             return 0.0;
         }
-        1.0 / (1.0 + (-self.existence).exp())
+        1.0 / (1.0 + libm::exp(-self.existence))
     }
 
     /// The covariance of its height, m, and of its tilts about its y and x, rad, at its middle: that of noise. An error of the
@@ -215,7 +215,7 @@ impl Surface {
     pub(super) fn covariance(&self, pose: &Isometry3<f64>) -> Option<Matrix3<f64>> {
         let middle = self.anchor_from_root * pose;
         let turned = middle.rotation * Vector3::x();
-        let (sin, cos) = turned.y.atan2(turned.x).sin_cos();
+        let (sin, cos) = libm::sincos(libm::atan2(turned.y, turned.x));
         let at = middle.translation.vector;
         // The plane's [h, a, b] in axes that are moved and turned.
         let change = Matrix3::new(1.0, at.x, at.y, 0.0, cos, sin, 0.0, -sin, cos);

@@ -1,9 +1,9 @@
 use std::sync::Arc;
 
+use armarium_values::random::StandardNormal;
 use nalgebra::{Translation3, UnitQuaternion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 use super::*;
 use crate::scenes::{CALIBRATION, Thing, frame_with_depth, table};

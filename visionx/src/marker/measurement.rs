@@ -42,7 +42,7 @@ pub(super) fn likelihood(
         let ring = (outer.0 - square.0) / (outer.1 - square.1).max(1.0);
         sum += inner - 0.5 * ring;
     }
-    (4.0 * sum).exp()
+    libm::exp(4.0 * sum)
 }
 
 /// The centroid of the coloured pixels about `at`, by mean shift with a disc that is wider than the marker.

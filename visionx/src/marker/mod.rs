@@ -183,10 +183,10 @@ impl ColorMarkerObjectTracking {
         let diameter = disc_diameter((small + large) / 2.0) * point.z / self.calibration.camera.focal;
         let size_fit = match self.diameter {
             Some(expected) if !(0.4..2.5).contains(&(diameter / expected)) => return None,
-            Some(expected) => (-2.0 * (diameter / expected).ln().powi(2)).exp(),
+            Some(expected) => libm::exp(-2.0 * libm::log(diameter / expected).powi(2)),
             None => (diameter / 0.08).min(1.0),
         };
-        let colour_fit = (-0.5 * (self.color.angle(mean_color(l, image)) / 0.05).powi(2)).exp();
+        let colour_fit = libm::exp(-0.5 * (self.color.angle(mean_color(l, image)) / 0.05).powi(2));
         Some((point, size_fit * colour_fit, diameter))
     }
 

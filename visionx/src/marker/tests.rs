@@ -12,7 +12,7 @@ fn ball(center: Point3<f64>, radius: f64, color: [u8; 3]) -> Thing {
 /// A tool on a circle, half a turn per second.
 fn path(i: u64) -> Point3<f64> {
     let angle = std::f64::consts::PI * i as f64 / 15.0;
-    Point3::new(0.28 + 0.06 * angle.sin(), 0.53 + 0.05 * angle.cos(), 1.05)
+    Point3::new(0.28 + 0.06 * libm::sin(angle), 0.53 + 0.05 * libm::cos(angle), 1.05)
 }
 
 fn stamp(i: u64) -> u64 {

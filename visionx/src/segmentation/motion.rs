@@ -155,7 +155,7 @@ pub(super) fn rigid(pairs: &[(Point2<f64>, Point2<f64>)]) -> Option<Isometry2<f6
         let (a, b) = (a.coords - from, b.coords - to);
         (dot + a.dot(&b), cross + a.perp(&b))
     });
-    Some(about(&from.into(), cross.atan2(dot), to - from))
+    Some(about(&from.into(), libm::atan2(cross, dot), to - from))
 }
 
 /// Whether something like a feature is where a motion brings it.

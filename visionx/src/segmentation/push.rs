@@ -70,7 +70,7 @@ impl PushChoice {
     }
 
     fn push(&self, of: &Hypothesis, all: &[Hypothesis], (angle, offset): (f64, f64)) -> Option<PlannedPush> {
-        let along = Vector2::new(angle.cos(), angle.sin());
+        let along = Vector2::new(libm::cos(angle), libm::sin(angle));
         let across = Vector2::new(-along.y, along.x);
         let extent = |h: &Hypothesis| Extent::of(h, &along, &across);
         let own = extent(of);

@@ -191,7 +191,7 @@ proptest! {
     ) {
         let colors = if plain { [RED; 2] } else { [RED, BLUE] };
         let thing = Thing { colors, ..Thing::new((0.2, 0.5, 0.3), [w, 0.06], RED) };
-        let truth = about(&thing, (way * angle.cos(), way * angle.sin(), turn));
+        let truth = about(&thing, (way * libm::cos(angle), way * libm::sin(angle), turn));
         let (before, after) = (table(&[thing]), table(&[thing.moved(&truth)]));
         let found = Change::between(&before, &after).best_motion().unwrap();
         // A plain thing that is nearly square may as well have turned by a quarter: what counts is where it is.
@@ -214,7 +214,7 @@ proptest! {
         let (left, right) = (beside(-w / 2.0, w, d), beside(0.03, 0.06, 0.065));
         let known = first(&[left, right]);
         prop_assert_eq!(known.len(), 1);
-        let push = pair.rotation * Vector2::new(angle.cos(), angle.sin()) * way;
+        let push = pair.rotation * Vector2::new(libm::cos(angle), libm::sin(angle)) * way;
         let moved = right.moved(&about(&right, (push.x, push.y, turn)));
         let overlap = moved.cells().intersection(&left.cells()).count();
         prop_assume!(overlap == 0);

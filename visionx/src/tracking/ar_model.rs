@@ -169,9 +169,9 @@ mod tests {
     fn read(text: &str) -> Result<FingerARModel, Vec<Finding>> {
         FingerARModel::read(Arc::new(Source::new("model.yaml", text)))
     }
+    use armarium_values::random::StandardNormal;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use rand_distr::StandardNormal;
 
     #[test]
     fn the_fit_finds_the_model_that_made_the_sequences() {

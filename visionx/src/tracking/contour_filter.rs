@@ -10,9 +10,9 @@
 //! Do, Asfour, Dillmann 2011 (tips as contour nodes); MacCormick, Isard 2000 (node after node: partitioned sampling);
 //! Isard, Blake 1998 (draws from the image: ICondensation).
 
+use armarium_values::random::StandardNormal;
 use nalgebra::{Matrix2, Point2, Vector2};
 use rand::{Rng, RngExt};
-use rand_distr::StandardNormal;
 
 use super::ar_model::FingerARModel;
 use super::hough::TipCandidate;
@@ -194,12 +194,12 @@ impl ParticleFilterFingerTracking {
             }
             let at = particle.now[i];
             let off = |c: &Point2<f64>| (c - at).norm_squared() / (2.0 * sigma * sigma);
-            let image: f64 = near.iter().map(|(c, score)| score * (-off(c)).exp()).sum();
+            let image: f64 = near.iter().map(|(c, score)| score * libm::exp(-off(c))).sum();
             let contour: f64 = neighbours
                 .iter()
                 .map(|&(j, distance)| {
                     let off = ((particle.now[j] - at).norm() - distance) / (0.35 * distance + radius);
-                    (-0.5 * off * off).exp()
+                    libm::exp(-0.5 * off * off)
                 })
                 .product();
             weights.push((MIN_LIKELIHOOD + image) * contour.max(1e-6));
@@ -246,7 +246,7 @@ impl ParticleFilterFingerTracking {
                 self.remove(lost);
             }
             let nodes = self.nodes(frame.focal, frame.center);
-            let turn = |p: &Point2<f64>| (p.y - frame.palm.y).atan2(p.x - frame.palm.x);
+            let turn = |p: &Point2<f64>| libm::atan2(p.y - frame.palm.y, p.x - frame.palm.x);
             let own = turn(&candidate.center);
             let at = nodes.iter().position(|n| turn(&n.px) > own).unwrap_or(nodes.len());
             let place = frame.normalised(&candidate.center);

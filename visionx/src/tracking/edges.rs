@@ -108,7 +108,7 @@ pub(super) mod tests {
     /// A skin-coloured disc before a wall, with smooth edges, and its silhouette in whole pixels.
     pub(in crate::tracking) fn disc(x: f64, y: f64, r: f64) -> (RgbImage, Mask) {
         let (w, h) = (80u32, 70u32);
-        let share = |(u, v)| (0.5 - ((f64::from(u) - x).hypot(f64::from(v) - y) - r)).clamp(0.0, 1.0);
+        let share = |(u, v)| (0.5 - (libm::hypot(f64::from(u) - x, f64::from(v) - y) - r)).clamp(0.0, 1.0);
         let color = |share: f64| {
             [(224.0, 90.0), (172.0, 110.0), (138.0, 120.0)].map(|(i, o)| (o + (i - o) * share) as u8)
         };

@@ -171,14 +171,14 @@ impl HoughVotes {
             {
                 continue;
             }
-            let turn = out.y.atan2(out.x) / std::f64::consts::TAU + 0.5;
+            let turn = libm::atan2(out.y, out.x) / std::f64::consts::TAU + 0.5;
             sectors[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] = true;
             n += 1.0;
             radius += distance;
         }
         let (length, middle) = longest_arc(&sectors);
         let turn = (middle / SECTORS as f64 - 0.5) * std::f64::consts::TAU;
-        let outward = Vector2::new(turn.cos(), turn.sin());
+        let outward = Vector2::new(libm::cos(turn), libm::sin(turn));
         // Half a circle is a tip; much more is a ball, much less a bend of the outline.
         let share = length as f64 / (SECTORS as f64 / 2.0);
         let score = if share <= 1.0 { share } else { (1.0 - 1.2 * (share - 1.35).max(0.0)).max(0.0) };
@@ -225,7 +225,7 @@ mod tests {
         let arc =
             (0..=(3.2 * r) as i32).map(|i| std::f64::consts::PI * (1.0 + f64::from(i) / (3.2 * r).floor()));
         let mut edges: Vec<Edge> = arc
-            .map(|a| Vector2::new(a.cos(), a.sin()))
+            .map(|a| Vector2::new(libm::cos(a), libm::sin(a)))
             .map(|d| Edge { at: Point2::new(x, y) + d * r, inward: -d })
             .collect();
         for i in 1..length as i32 {
@@ -259,7 +259,7 @@ mod tests {
             (0..100).map(|i| Edge { at: Point2::new(f64::from(i), 50.0), inward: Vector2::y() }).collect();
         let arc: Vec<Edge> = (0..250)
             .map(|i| f64::from(i) / 40.0)
-            .map(|a| Vector2::new(a.cos(), a.sin()))
+            .map(|a| Vector2::new(libm::cos(a), libm::sin(a)))
             .map(|d| Edge { at: Point2::new(90.0, 90.0) + d * 40.0, inward: -d })
             .collect();
         for edges in [line, arc] {

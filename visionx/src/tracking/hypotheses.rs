@@ -43,8 +43,14 @@ pub(super) fn hypotheses(lab: &LabImage) -> Vec<Mask> {
 }
 
 /// The colour axes: lightness, redness, yellowness; the last two independent of shading; hue.
-const AXES: [fn(&[f32; 3]) -> f32; 6] =
-    [|c| c[0], |c| c[1], |c| c[2], |c| c[1] / (c[0] + 16.0), |c| c[2] / (c[0] + 16.0), |c| c[2].atan2(c[1])];
+const AXES: [fn(&[f32; 3]) -> f32; 6] = [
+    |c| c[0],
+    |c| c[1],
+    |c| c[2],
+    |c| c[1] / (c[0] + 16.0),
+    |c| c[2] / (c[0] + 16.0),
+    |c| libm::atan2f(c[2], c[1]),
+];
 
 /// The largest `most` components of a segmentation, smoothed and without small holes.
 pub(super) fn parts(lab: &LabImage, cut: &[bool], most: usize) -> Vec<Mask> {

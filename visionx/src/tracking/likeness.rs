@@ -32,7 +32,7 @@ pub(super) fn likeness(lab: &LabImage, thing: &Mask) -> Option<f64> {
         (0..3).for_each(|i| color[i] += c[i] / area as f32);
     }
     let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
-    let size = off((area / lab.data.len() as f64).ln(), (SHARE.0.ln(), SHARE.1));
+    let size = off(libm::log(area / lab.data.len() as f64), (libm::log(SHARE.0), SHARE.1));
     // A hand is a palm with fingers and perhaps an arm. Ragged or long regions are not hands.
     let palm = std::f64::consts::PI * radius * radius / area;
     let palm = off(palm.clamp(0.0, 1.0), (0.50, 0.17));
@@ -58,7 +58,7 @@ pub(super) fn unlike_skin(color: &[f32; 3]) -> f64 {
         |v: f64, (m, d): (f64, f64)| off(v, (m * bleached, if v > m * bleached { 2.5 * d } else { d }));
     let (red, yellow) = (f64::from(color[1]), f64::from(color[2]));
     let apart = either(red / light, REDNESS) + either(yellow / light, YELLOWNESS);
-    apart.min(12.0) + off(yellow.atan2(red), HUE).min(9.0)
+    apart.min(12.0) + off(libm::atan2(yellow, red), HUE).min(9.0)
 }
 
 /// The share of the image's border that a region covers, and the number of corners.

@@ -54,7 +54,7 @@ impl Mixture {
     pub(super) fn log_density(&self, color: &[f32; 3]) -> f32 {
         let logs = self.parts.iter().map(|p| p.log(color));
         let top = logs.clone().fold(f32::NEG_INFINITY, f32::max);
-        top + logs.map(|l| (l - top).exp()).sum::<f32>().ln()
+        top + libm::logf(logs.map(|l| libm::expf(l - top)).sum::<f32>())
     }
 
     /// The components whose means are `wanted`, and the others; `None` for an empty side.
@@ -79,7 +79,7 @@ impl Mixture {
     fn shares(&self, color: &[f32; 3], into: &mut [f32]) {
         let total = self.log_density(color);
         for (share, part) in into.iter_mut().zip(&self.parts) {
-            *share = (part.log(color) - total).exp();
+            *share = libm::expf(part.log(color) - total);
         }
     }
 }
@@ -103,7 +103,7 @@ fn part(samples: &[[f32; 3]], weight: impl Fn(usize) -> f32) -> MixtureComponent
     let covariance = square / sum - mean * mean.transpose() + Matrix3::identity() * MIN_VARIANCE;
     let share = sum / samples.len().max(1) as f32;
     let inverse = covariance.try_inverse().unwrap_or_else(Matrix3::identity);
-    let log_top = share.max(1e-12).ln() - 0.5 * covariance.determinant().max(1e-12).ln();
+    let log_top = libm::logf(share.max(1e-12)) - 0.5 * libm::logf(covariance.determinant().max(1e-12));
     MixtureComponent { mean, inverse, log_top }
 }
 
@@ -146,9 +146,9 @@ fn means(samples: &[[f32; 3]], of: &[usize], k: usize) -> Vec<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use armarium_values::random::StandardNormal;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use rand_distr::StandardNormal;
 
     #[test]
     fn finds_the_parts_that_colours_were_drawn_from() {

@@ -129,7 +129,7 @@ impl GestureRecognizer {
             .flat_map(|(i, a)| likely().take(i).map(|b| a.direction.angle(&b.direction)))
             .fold(0.0, f64::max);
         let fit = |value: f64, expected: Option<Expected>| {
-            expected.map_or(1.0, |e| (-0.5 * ((value - e.mean) / e.deviation).powi(2)).exp())
+            expected.map_or(1.0, |e| libm::exp(-0.5 * ((value - e.mean) / e.deviation).powi(2)))
         };
         let mut result = BTreeMap::new();
         for p in &self.gestures {
@@ -165,7 +165,7 @@ mod tests {
     }
 
     fn seen(angle: f64, score: f64) -> SeenFinger {
-        SeenFinger { direction: Vector2::new(angle.sin(), -angle.cos()), length: 2.0, score }
+        SeenFinger { direction: Vector2::new(libm::sin(angle), -libm::cos(angle)), length: 2.0, score }
     }
 
     fn best(angles: &[f64], length: f64, score: f64) -> String {

@@ -78,7 +78,7 @@ impl SkinSegmentation {
         if is_other_object(&fine, &mask) {
             return None;
         }
-        let confidence = 1.0 / (1.0 + (-(score - MIN_SCORE) / 2.0).exp());
+        let confidence = 1.0 / (1.0 + libm::exp(-(score - MIN_SCORE) / 2.0));
         Some(Self { mask, scale: fine.scale, confidence })
     }
 }
@@ -190,16 +190,16 @@ fn mean_field(lab: &LabImage, odds: &[f32]) -> Vec<f32> {
     let down = |i: usize| (i + w < w * h).then_some(i + w);
     let all = || (0..w * h).flat_map(|i| [across(i), down(i)].into_iter().flatten().map(move |j| (i, j)));
     let mean = all().map(|(i, j)| step(i, j)).sum::<f32>() / (2 * w * h) as f32;
-    let weight = |(i, j): (usize, usize)| COUPLING * (-step(i, j) / (2.0 * mean).max(0.5)).exp();
+    let weight = |(i, j): (usize, usize)| COUPLING * libm::expf(-step(i, j) / (2.0 * mean).max(0.5));
     let links: Vec<(usize, usize, f32)> = all().map(|pair| (pair.0, pair.1, weight(pair))).collect();
-    let mut shares: Vec<f32> = odds.iter().map(|o| (o / 2.0).tanh()).collect();
+    let mut shares: Vec<f32> = odds.iter().map(|o| libm::tanhf(o / 2.0)).collect();
     for _ in 0..6 {
         let mut fields = odds.to_vec();
         for &(i, j, weight) in &links {
             fields[i] += 2.0 * weight * shares[j];
             fields[j] += 2.0 * weight * shares[i];
         }
-        shares.iter_mut().zip(&fields).for_each(|(s, f)| *s = (f / 2.0).tanh());
+        shares.iter_mut().zip(&fields).for_each(|(s, f)| *s = libm::tanhf(f / 2.0));
     }
     shares
 }

@@ -359,11 +359,11 @@ fn driven(kind: &str) -> [f64; 3] {
     for ms in 0..1000 {
         lease.command(&[0.5, 0.5, 0.3]).unwrap();
         let targets = guard.step(ms * 1_000_000, &sample).clone();
-        let (sin, cos) = sample.position[2].sin_cos();
+        let (sin, cos) = libm::sincos(sample.position[2]);
         aside = aside.max((targets.velocity[0] * cos + targets.velocity[1] * sin).abs());
         (sample.position, sample.velocity) = (targets.position, targets.velocity);
     }
-    [aside, sample.position[0].hypot(sample.position[1]), sample.position[2]]
+    [aside, libm::hypot(sample.position[0], sample.position[1]), sample.position[2]]
 }
 
 #[test]

@@ -240,9 +240,9 @@ impl Search<'_> {
     /// How well a region fits a hand: its colour near the preferred one, its area (m^2) near a hand's.
     fn likeness(&self, label: u8, area: f64) -> f64 {
         let (peak, (middle, deviation)) = (self.clusters.peak(label), self.preferred);
-        let apart = f64::from((peak[0] - middle[0]).hypot(peak[1] - middle[1])) / deviation;
-        let size = (area / 90e-4).ln() / 0.7;
-        (-0.5 * (apart * apart + size * size)).exp()
+        let apart = f64::from(libm::hypotf(peak[0] - middle[0], peak[1] - middle[1])) / deviation;
+        let size = libm::log(area / 90e-4) / 0.7;
+        libm::exp(-0.5 * (apart * apart + size * size))
     }
 }
 

@@ -223,7 +223,7 @@ impl HandObserver {
         let mut belief = [0.0; 4];
         for i in 0..4 {
             let predicted = before[i] * (1.0 - change) + (1.0 - before[i]) * change / 3.0;
-            belief[i] = predicted * (likelihoods[i] + MIN_LIKELIHOOD).powf(counts);
+            belief[i] = predicted * libm::pow(likelihoods[i] + MIN_LIKELIHOOD, counts);
         }
         let sum: f64 = belief.iter().sum();
         belief.map(|b| b / sum)
@@ -370,7 +370,7 @@ mod tests {
         let mut lone = LoneFinger::default();
         assert_eq!(lone.agreement(), 1.0);
         for frame in 0..100 {
-            let (sin, cos) = (0.1 * f64::from(frame % 3)).sin_cos();
+            let (sin, cos) = libm::sincos(0.1 * f64::from(frame % 3));
             lone.add(&Vector3::new(cos, sin, 0.0));
         }
         assert!(lone.agreement() > 0.98, "it trembles: {}", lone.agreement());

@@ -62,7 +62,7 @@ impl Finger {
 
     /// The same finger when its tip is `rise` m farther along the line of sight than its base, or nearer.
     pub(crate) fn reaching(&self, rise: f64) -> Self {
-        let length = self.length.hypot(rise);
+        let length = libm::hypot(self.length, rise);
         Self { length, score: finger_score(length, self.width), ..self.clone() }
     }
 }
@@ -160,7 +160,7 @@ fn fingers(grid: &Grid, inside: &[f32], from_core: &[f32], palm: &Point2<f64>) -
         .filter(|b| b.part_of.is_none())
         .map(measure)
         .filter(|f| f.score > 0.02)
-        .map(|f| ((f.tip.y - palm.y).atan2(f.tip.x - palm.x), f))
+        .map(|f| (libm::atan2(f.tip.y - palm.y, f.tip.x - palm.x), f))
         .collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0));
     found.into_iter().map(|(_, finger)| finger).collect()
@@ -237,7 +237,7 @@ fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reac
 
 /// Probability that a protrusion of this length and width (m) is a stretched finger.
 fn finger_score(length: f64, width: f64) -> f64 {
-    let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
+    let logistic = |x: f64| 1.0 / (1.0 + libm::exp(-x));
     logistic((length - 0.018) / 0.003) * logistic((width - 0.007) / 0.001) * logistic((0.030 - width) / 0.001)
 }
 
@@ -265,7 +265,7 @@ mod tests {
             stroke(&mut mask, [130.0, 150.0], [130.0, 150.0], 40.0);
             let ends: Vec<[f64; 2]> = (0..n)
                 .map(|i| -0.6 + 0.4 * i as f64)
-                .map(|a| [130.0 + 115.0 * a.sin(), 150.0 - 115.0 * a.cos()])
+                .map(|a| [130.0 + 115.0 * libm::sin(a), 150.0 - 115.0 * libm::cos(a)])
                 .collect();
             ends.iter().for_each(|e| stroke(&mut mask, [130.0, 150.0], *e, 9.0));
             let shape = hand_shape(&mask, 0.001).unwrap();

@@ -71,7 +71,7 @@ impl HalfImage {
 
 impl Logs {
     fn new() -> Self {
-        let log = |v: u16| (f32::from(v.max(1)).ln() / BIN * 16.0).round() as i16;
+        let log = |v: u16| (libm::logf(f32::from(v.max(1))) / BIN * 16.0).round() as i16;
         Self((0..=1020).map(log).collect())
     }
 
@@ -218,9 +218,9 @@ fn neighbours(bin: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use armarium_values::random::StandardNormal;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use rand_distr::StandardNormal;
 
     /// A shaded image: left half one colour, right half another, noise of two grey levels.
     fn picture(left: [u8; 3], right: [u8; 3]) -> RgbImage {

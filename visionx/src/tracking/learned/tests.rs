@@ -66,7 +66,7 @@ fn ramp(width: u32, height: u32) -> RgbImage {
 fn a_square_is_sampled_where_it_is() {
     let image = ramp(120, 90);
     for (side, angle) in [(16.0, 0.0f64), (40.0, 0.4), (60.0, 2.0)] {
-        let down = Vector2::new(-angle.sin(), angle.cos());
+        let down = Vector2::new(-libm::sin(angle), libm::cos(angle));
         let square = Square { center: Point2::new(60.0, 45.0), side, down };
         let pixels = square.sample(&image, 20, Outside::Nearest);
         for (i, color) in pixels.as_chunks::<3>().0.iter().enumerate() {
