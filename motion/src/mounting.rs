@@ -28,11 +28,12 @@ pub struct CameraMounting {
     /// The camera's true pose in the frame of its believed one.
     believed_from_camera: Isometry3<f64>,
     seen: [Option<MarkerView>; 2],
-    known: bool,
+    /// How many pictures have shown it.
+    pictures: u32,
 }
 
-/// The weight of a new picture.
-const WEIGHT: f64 = 0.15;
+/// The least weight of a new picture: the mean of as many, as the errors of the arms' joints change with their postures.
+const WEIGHT: f64 = 0.05;
 /// Both markers show the turn when they were seen within this, s.
 const TOGETHER: f64 = 2.5;
 /// Markers that are nearer to each other than this do not show it, m.
@@ -45,7 +46,7 @@ impl CameraMounting {
         let root_from_camera = root_from_camera.rotation;
         let turned = root_from_camera.inverse() * level * root_from_camera;
         let believed_from_camera = Isometry3::from_parts(Translation3::identity(), turned);
-        Self { believed_from_camera, seen: [None; 2], known: false }
+        Self { believed_from_camera, seen: [None; 2], pictures: 0 }
     }
 
     /// How the camera is turned in the frame of its believed pose.
@@ -55,7 +56,7 @@ impl CameraMounting {
 
     /// Whether both markers have shown how the camera is turned.
     pub fn known(&self) -> bool {
-        self.known
+        self.pictures > 0
     }
 
     /// From where things are shown, with the camera believed at `root_from_camera`, to where they are; both in the root frame.
@@ -78,8 +79,8 @@ impl CameraMounting {
         if (first.at - second.at).abs() > TOGETHER || (first.in_root - second.in_root).norm() < APART {
             return Ok(());
         }
-        let weight = if self.known { WEIGHT } else { 1.0 };
-        self.known = true;
+        self.pictures = self.pictures.saturating_add(1);
+        let weight = WEIGHT.max(1.0 / f64::from(self.pictures));
         let mounting = self.believed_from_camera;
         let place = |view: &MarkerView| view.root_from_camera * mounting * view.in_camera;
         let (shown, true_line) = (place(first) - place(second), first.in_root - second.in_root);

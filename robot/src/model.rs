@@ -276,10 +276,19 @@ impl Platform {
 /// The robot's own limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotLimits {
-    /// Largest force at a wrench sensor, N.
+    /// Largest force at a wrench sensor, N, for leases that say no limit of their own.
     pub force_n: f64,
+    /// The largest limit that a lease may say, N.
+    pub most_force_n: f64,
     /// Largest speed of any TCP, m/s.
     pub speed_m_s: f64,
+}
+
+impl RobotLimits {
+    /// The force limit of a lease that says this one, N.
+    pub fn force_of(&self, said: Option<f64>) -> f64 {
+        said.map_or(self.force_n, |said| said.min(self.most_force_n))
+    }
 }
 
 /// A robot's description.

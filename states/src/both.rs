@@ -25,7 +25,8 @@ const HOLD: &str = "hold";
 const CLOSED: f64 = 0.008;
 /// A hand that is further than this from where it should be has not arrived, m.
 const OFF: f64 = 0.02;
-/// The squeeze stays below this share of the force limit: a hand carries, too.
+/// The squeeze stays below this, N, and below this share of the force limit: a hand carries, too.
+const MOST_SQUEEZE: f64 = 40.0;
 const SQUEEZED: f64 = 0.8;
 
 /// What is so far below the hands is what they work on, m.
@@ -59,8 +60,8 @@ pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
         .optional(
             FRICTION,
             Type::FLOAT,
-            0.5,
-            "The friction of hands and load on which it relies: for a heavier load it squeezes more.",
+            0.6,
+            "The friction of hands and load on which it relies: they press with 1.5 times what that needs, as far as they can.",
         )
 }
 
@@ -81,8 +82,8 @@ pub(crate) fn holding(context: &SkillContext) -> Result<Holding, Failure> {
 
 /// The law's constants for these inputs, with the chart's limits.
 pub(crate) fn config(equipment: &Equipment, context: &SkillContext) -> Result<SharedLoadConfig, Failure> {
-    let own = equipment.robot.model().limits().force_n;
-    let most_squeeze = SQUEEZED * context.limits.force_n.unwrap_or(own).min(own);
+    let limit = equipment.robot.model().limits().force_of(context.limits.force_n);
+    let most_squeeze = MOST_SQUEEZE.min(SQUEEZED * limit);
     let (squeeze, friction) = (context.number(SQUEEZE)?, context.number(FRICTION)?);
     if squeeze > most_squeeze {
         return Err(Failure::new(format!(

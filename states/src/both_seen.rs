@@ -20,9 +20,9 @@ use crate::motions::failed;
 use crate::surface::Surface;
 
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
-const VISIBLE: f64 = 0.55;
+const VISIBLE: f64 = 0.35;
 /// Of a hand's marker, as much as this.
-const MARKER_VISIBLE: f64 = 0.8;
+const MARKER_VISIBLE: f64 = 0.95;
 /// The weight of a new detection.
 const WEIGHT: f64 = 0.3;
 /// Where the cameras turn faster than this, rad/s, the errors of stamps count: such a frame shows no hand.
@@ -41,7 +41,7 @@ pub(crate) const LOST_AFTER: f64 = 3.0;
 const APART_FOR: f64 = 1.5;
 /// A hand is in view when it is this far from the border of the left picture, rad: its marker is in the right one then, too. While the
 /// mounting is not known, it has to be further.
-const IN_VIEW: [f64; 2] = [0.25, 0.15];
+const IN_VIEW: [f64; 2] = [0.25, 0.21];
 /// Between the thing and a hand, so many places to look at are tried.
 const PLACES: usize = 20;
 
@@ -126,7 +126,8 @@ impl BothSeen {
         };
         let hands = [seen_hand(first, one)?, seen_hand(second, other)?];
         let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
-        let step = ObjectStep::new(localizer, THING).level_for(mounting.rotation());
+        let localizer = localizer.standing_on(surface.rotation());
+        let step = ObjectStep::new(localizer, THING).following(shown);
         let mut steps: Vec<Box<dyn StereoStep>> = vec![Box::new(step)];
         for (limb, name) in [first, second].into_iter().zip(HANDS) {
             let marker = marker(model, limb)?;

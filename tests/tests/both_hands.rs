@@ -56,12 +56,28 @@ fn a_box_is_carried_between_both_hands_and_put_down() {
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let own = &ended.report["carrying"];
     let figure = |key: &str| own[key].as_f64().unwrap();
-    assert!(figure("lifted_m") > 0.08 && figure("held") == 1.0, "{own}");
-    assert!(figure("internal_least_n") > 5.0 && figure("internal_most_n") < 40.0, "{own}");
-    assert!(figure("tilt_deg") < 5.0 && figure("slipped_m") < 0.005, "{own}");
-    // What the hands feel is the box.
-    let weight = ended.result.outputs["weight"].as_f64().unwrap();
-    assert!((weight / (9.81 * figure("mass_kg")) - 1.0).abs() < 0.15, "{weight} {own}");
+    assert!(figure("lifted_m") > 0.05 && figure("held") == 1.0, "{own}");
+    assert!(figure("internal_least_n") > 5.0 && figure("internal_most_n") < 45.0, "{own}");
+    assert!(figure("tilt_deg") < 3.0 && figure("slipped_m") < 0.005, "{own}");
+    // They press as its weight asks, and what they feel is the box.
+    assert!(figure("squeeze_rms_n") < 3.0 && figure("mass_error").abs() < 0.05, "{own}");
+}
+
+#[test]
+fn a_box_that_is_too_heavy_to_be_held_is_put_down_before_it_falls() {
+    let ended = carried("carry_box.yaml", 1, |world| world.replace("{from: 1 kg, to: 3 kg}", "5.5 kg"));
+    assert_eq!(ended.result.outcome, "put_down", "{:?}", ended.result.reason);
+    let own = &ended.report["carrying"];
+    assert!(own["held"] == 1.0 && own["internal_most_n"].as_f64().unwrap() < 45.0, "{own}");
+}
+
+#[test]
+fn both_hands_come_to_the_handles_of_a_tray_with_cameras_that_are_elsewhere() {
+    let ended = carried("lift_tray.yaml", 2, |world| world);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let own = &ended.report["reaching"];
+    let figure = |key: &str| own[key].as_f64().unwrap();
+    assert!(figure("error_m") < 0.005 && figure("angle_deg") < 3.0 && figure("apart_s") < 0.2, "{own}");
 }
 
 #[test]

@@ -84,9 +84,33 @@ impl ConvexOutline {
 
     /// Area, px^2.
     pub(crate) fn area(&self) -> f64 {
-        let n = self.corners.len();
-        (0..n).map(|i| self.corners[i].coords.perp(&self.corners[(i + 1) % n].coords)).sum::<f64>().abs()
-            / 2.0
+        area(&self.corners)
+    }
+
+    /// Area of what is in a camera's picture, px^2.
+    ///
+    /// # Source
+    /// Sutherland and Hodgman 1974, with the picture's four borders.
+    pub(crate) fn area_in(&self, camera: &PinholeCamera) -> f64 {
+        let mut corners = self.corners.clone();
+        for (axis, size) in [camera.width, camera.height].into_iter().enumerate() {
+            for (border, sign) in [(-0.5, 1.0), (f64::from(size) - 0.5, -1.0)] {
+                let inside = |p: &Point2<f64>| sign * (p[axis] - border);
+                let mut clipped = Vec::with_capacity(corners.len() + 2);
+                for (i, p) in corners.iter().enumerate() {
+                    let next = corners[(i + 1) % corners.len()];
+                    let (here, there) = (inside(p), inside(&next));
+                    if here >= 0.0 {
+                        clipped.push(*p);
+                    }
+                    if (here >= 0.0) != (there >= 0.0) {
+                        clipped.push(p + (next - p) * (here / (here - there)));
+                    }
+                }
+                corners = clipped;
+            }
+        }
+        area(&corners)
     }
 
     /// Distance from the outline, px, negative inside. Outside of a corner it is the distance from the nearer edge's
@@ -135,6 +159,12 @@ impl ConvexOutline {
         }
         totals
     }
+}
+
+/// Area of a polygon, px^2.
+fn area(corners: &[Point2<f64>]) -> f64 {
+    let n = corners.len();
+    (0..n).map(|i| corners[i].coords.perp(&corners[(i + 1) % n].coords)).sum::<f64>().abs() / 2.0
 }
 
 impl RowSums {
@@ -201,6 +231,16 @@ mod tests {
             ConvexOutline::hull(&mut [Point2::new(0.0, 0.0), Point2::new(1.0, 1.0), Point2::new(2.0, 2.0)])
                 .is_none()
         );
+    }
+
+    #[test]
+    fn of_what_the_picture_cuts_off_the_part_inside_counts() {
+        let camera = PinholeCamera { width: 640, height: 480, focal: 500.0, center: [320.0, 240.0] };
+        for (at, inside) in
+            [((100.0, 100.0), 64.0), ((-0.5, 100.0), 32.0), ((639.5, 479.5), 16.0), ((-9.0, 9.0), 0.0)]
+        {
+            assert!((square(at.0, at.1, 4.0).area_in(&camera) - inside).abs() < 1e-9, "{at:?}");
+        }
     }
 
     #[test]

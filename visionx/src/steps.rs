@@ -325,8 +325,8 @@ pub struct ObjectStep {
     localizer: ObjectLocalizer,
     /// Finds the table; `None` when it has been looked for.
     tables: Option<TabletopSegmentation>,
-    /// How the cameras are turned against where they are believed to be, if the surface is level.
-    mounted: Option<UnitQuaternion<f64>>,
+    /// Where the box was seen last, root frame; none where it is looked for anew in each frame.
+    followed: Option<Isometry3<f64>>,
     class: String,
     last: Option<ObjectEstimate>,
 }
@@ -337,7 +337,7 @@ const STANDS: f64 = 0.04;
 impl ObjectStep {
     /// The step around a localizer of boxes of this class, on a surface whose tilt the localizer knows.
     pub fn new(localizer: ObjectLocalizer, class: &str) -> Self {
-        Self { localizer, tables: None, mounted: None, class: class.into(), last: None }
+        Self { localizer, tables: None, followed: None, class: class.into(), last: None }
     }
 
     /// The step for a box on a table that is to be found with it, by depth images of this camera.
@@ -346,11 +346,11 @@ impl ObjectStep {
         Self { tables: Some(TabletopSegmentation::new(camera)), ..self }
     }
 
-    /// The step for a box on a level surface and cameras that are turned so in the frame of their believed pose: what is level is shown
-    /// tilted, otherwise with every turn of the head.
+    /// The step for a box that is followed from frame to frame, from this pose on (root frame), with its roll and pitch as the images show
+    /// them. Where it is lost, it is looked for anew.
     #[must_use]
-    pub fn level_for(self, believed_from_camera: UnitQuaternion<f64>) -> Self {
-        Self { mounted: Some(believed_from_camera), ..self }
+    pub fn following(self, from: Isometry3<f64>) -> Self {
+        Self { followed: Some(from), ..self }
     }
 
     /// The table under the box, once a box has been found.
@@ -384,16 +384,18 @@ impl StereoStep for ObjectStep {
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         let table = self.table(frame);
-        if let Some(mounted) = &self.mounted {
-            let believed = frame.root_from_left.rotation;
-            let shown_up = believed * mounted.inverse() * believed.inverse() * Vector3::z();
-            let tilt = UnitQuaternion::rotation_between(&Vector3::z(), &shown_up).unwrap_or_default();
-            self.localizer = self.localizer.clone().standing_on(tilt);
+        self.last = match &self.followed {
+            None => self.localizer.localize(frame),
+            Some(expected) => self.localizer.follow(frame, expected).or_else(|| {
+                let anew = self.localizer.localize(frame)?;
+                self.localizer.follow(frame, &anew.root_from_object)
+            }),
+        };
+        if let (Some(followed), Some(seen)) = (&mut self.followed, &self.last) {
+            *followed = seen.root_from_object;
         }
-        self.last = self.localizer.localize(frame);
         let seen = |object: &ObjectEstimate| {
-            let covariance = object.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-            posed((OBJECTS, &self.class), frame.stamp_ns, &object.root_from_object, &covariance)
+            posed((OBJECTS, &self.class), frame.stamp_ns, &object.root_from_object, &object.covariance)
                 .with_confidence(object.visible)
         };
         table.into_iter().chain(self.last.as_ref().map(seen)).collect()

@@ -22,6 +22,9 @@ use crate::straight_line::LinePoint;
 /// Contacts that are nearer to each other than this have no line between them, m.
 const LEAST_APART: f64 = 0.01;
 
+/// How much more a hand presses than with what it carries along the load's side over the friction, where both share the load unequally.
+const FIRM: f64 = 1.15;
+
 constants! {
     /// The constants of a [`SharedLoad`].
     pub struct SharedLoadConfig {
@@ -29,15 +32,19 @@ constants! {
         squeeze: f64 = 25.0, POSITIVE;
         /// Largest squeeze, N.
         most_squeeze: f64 = 35.0, POSITIVE;
-        /// The friction on which it relies: a hand presses at least with what it carries along the load's side over this.
-        friction: f64 = 0.5, POSITIVE;
+        /// The friction on which it relies, ...
+        friction: f64 = 0.6, POSITIVE;
+        /// ... and how much more the hands press than with half of the load over this.
+        margin: f64 = 1.5, 1.0..=10.0;
+        /// A load that would slip in the largest squeeze, without the margin, for this long is about to be lost, s.
+        slips_after: f64 = 0.3, 0.0..=60.0;
         /// How fast the wanted squeeze changes, N/s.
-        squeeze_rate: f64 = 40.0, POSITIVE;
+        squeeze_rate: f64 = 80.0, POSITIVE;
         /// Closing speed of each hand for a missing newton, m/s/N. With contacts of the stiffness K, the squeeze settles with the
         /// rate K times this; it has to be slower than the drives.
-        gain: f64 = 4e-4, GAIN;
+        gain: f64 = 7e-4, GAIN;
         /// Largest closing speed of each hand, m/s.
-        fastest: f64 = 0.02, POSITIVE;
+        fastest: f64 = 0.04, POSITIVE;
         /// How far each hand yields along the load's side for a newton of internal force, m/N.
         compliance: f64 = 5e-4, 0.0..=1.0;
         /// How far each hand turns for a newton metre of internal moment at its contact, rad/(N m).
@@ -132,6 +139,8 @@ pub enum LoadStatus {
     Held,
     /// One does not any more.
     Lost,
+    /// The largest squeeze does not hold it by the friction on which the law relies: it is to be put down before it slips away.
+    Slips,
 }
 
 /// A step of a [`SharedLoad`].
@@ -170,6 +179,8 @@ pub struct SharedLoad {
     beyond: [Vector3<f64>; 2],
     wanted: f64,
     unpressed: f64,
+    /// For how long the largest squeeze has been too little, s.
+    slips: f64,
 }
 
 impl SharedLoad {
@@ -206,6 +217,7 @@ impl SharedLoad {
             taken,
             beyond: [Vector3::zeros(); 2],
             unpressed: 0.0,
+            slips: 0.0,
         })
     }
 
@@ -248,15 +260,20 @@ impl SharedLoad {
         let forces = LoadForces::of(hands)?;
         let c = &self.config;
         let load_from_root = loads[0].pose.rotation.inverse();
+        // With less than this a hand slips.
+        let least = forces.hands.iter().map(|(_, along)| along / c.friction).fold(0.0, f64::max);
         // Along this line the squeeze is kept; in all other directions the hands yield.
         let (line, needed) = match self.holding {
             Holding::Pressing => {
-                let carried = forces.hands.iter().map(|(_, along)| along / c.friction);
-                let needed = carried.fold(c.squeeze, f64::max).min(c.most_squeeze);
+                // Half of the load with the margin, and what each hand really carries with a small one.
+                let shared = c.margin * forces.external.norm() / (2.0 * c.friction);
+                let needed = c.squeeze.max(shared).max(FIRM * least).min(c.most_squeeze);
                 (load_from_root * forces.line.into_inner(), needed)
             }
             Holding::Gripping => (Vector3::zeros(), 0.0),
         };
+        let too_little = self.holding == Holding::Pressing && least > c.most_squeeze;
+        self.slips = if too_little { self.slips + dt } else { 0.0 };
         self.wanted += (needed - self.wanted).clamp(-c.squeeze_rate * dt, c.squeeze_rate * dt);
         let closing = (c.gain * (self.wanted - forces.squeeze)).clamp(-c.fastest, c.fastest);
         let along_sides = load_from_root * forces.internal - line * forces.squeeze;
@@ -269,10 +286,14 @@ impl SharedLoad {
         for (beyond, rate) in self.beyond.iter_mut().zip(&rates) {
             *beyond += rate * dt;
         }
-        let least = forces.hands[0].0.min(forces.hands[1].0);
-        let loose = self.holding == Holding::Pressing && least < c.lost_share * self.wanted;
+        let pressed = forces.hands[0].0.min(forces.hands[1].0);
+        let loose = self.holding == Holding::Pressing && pressed < c.lost_share * self.wanted;
         self.unpressed = if loose { self.unpressed + dt } else { 0.0 };
-        let status = if self.unpressed > c.lost_after { LoadStatus::Lost } else { LoadStatus::Held };
+        let status = match (self.unpressed > c.lost_after, self.slips > c.slips_after) {
+            (true, _) => LoadStatus::Lost,
+            (false, true) => LoadStatus::Slips,
+            (false, false) => LoadStatus::Held,
+        };
         let goal = |hand: usize, sign: f64| self.goal(&loads[hand], hand, sign, &rates);
         Ok(SharedLoadStep { hands: [goal(0, 1.0), goal(1, -1.0)], forces, wanted: self.wanted, status })
     }

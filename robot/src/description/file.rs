@@ -146,6 +146,9 @@ form! {
     pub struct LimitsFile: "`limits`" {
         /// Largest force at a wrench sensor, N.
         pub force: f64 = 40.0, Rule::number("N", 0.1, 10_000.0);
+        /// The same for charts that say a limit of their own; without it, `force`.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub most_force: Option<f64> = None, Rule::number("N", 0.1, 10_000.0);
         /// Largest speed of any TCP, m/s.
         pub speed: f64 = 1.0, Rule::number("m/s", 0.01, 10.0);
     }

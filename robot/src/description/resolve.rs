@@ -6,7 +6,7 @@ use armarium_source::yaml::Node;
 use armarium_source::{Findings, Span, code};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-use super::file::{GroupFile, HandFile, PlatformFile, PoseFile, Position, RobotFile};
+use super::file::{GroupFile, HandFile, LimitsFile, PlatformFile, PoseFile, Position, RobotFile};
 use super::platform::{self, JOINTS, LINKS};
 use super::urdf::Tree;
 use crate::model::{
@@ -39,7 +39,8 @@ pub(super) fn model(file: &RobotFile, node: &Node, mut tree: Tree, findings: &mu
             resolver.posture_named(&["groups", name, "postures", usual], Some(own), &postures);
         }
     }
-    let limits = RobotLimits { force_n: file.limits.force, speed_m_s: file.limits.speed };
+    let LimitsFile { force: force_n, most_force, speed: speed_m_s } = file.limits;
+    let limits = RobotLimits { force_n, most_force_n: most_force.unwrap_or(force_n).max(force_n), speed_m_s };
     let Tree { links, joints, link_ids, joint_ids, movers, .. } = tree;
     Model {
         name: file.name.clone(),

@@ -121,8 +121,10 @@ impl Sensor {
 
     /// The smallest force limit of the leases that move the hand, N.
     fn limit(&self, table: &LeaseTable, config: &GuardConfig) -> f64 {
-        let of = |&i: &usize| table.slots[i].held.as_ref().and_then(|held| held.limits.force_n);
-        self.carriers.iter().filter_map(of).fold(config.force_n, f64::min).max(0.0)
+        let GuardConfig { force_n, most_force_n, .. } = *config;
+        let held = self.carriers.iter().filter_map(|&i| table.slots[i].held.as_ref());
+        let limits = held.map(|held| held.limits.force_n.map_or(force_n, |said| said.min(most_force_n)));
+        limits.reduce(f64::min).unwrap_or(force_n).max(0.0)
     }
 
     /// Sets the fault of every lease that moves the hand; a force fault keeps the largest force.

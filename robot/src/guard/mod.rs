@@ -29,13 +29,15 @@ use crate::{
     RobotLimits, Sensed,
 };
 
-/// The guard's own limits; leases can only tighten them.
+/// The guard's own limits. Leases can only tighten them, but for the force, which they can raise up to `most_force_n`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardConfig {
     /// Longest time without a new command for a moving limb.
     pub watchdog: Duration,
-    /// Largest compensated force at any wrench sensor, N.
+    /// Largest compensated force at any wrench sensor, N, for leases that say no limit of their own.
     pub force_n: f64,
+    /// The largest limit that a lease may say, N.
+    pub most_force_n: f64,
     /// Largest speed of any TCP, m/s.
     pub speed_m_s: f64,
     /// How long the raw sample of a wrench sensor may stay bit-identical.
@@ -58,6 +60,7 @@ impl Default for GuardConfig {
         Self {
             watchdog: Duration::from_millis(30),
             force_n: 40.0,
+            most_force_n: 40.0,
             speed_m_s: 1.0,
             frozen: Duration::from_millis(100),
             window_rad: 0.05,
@@ -72,8 +75,8 @@ impl Default for GuardConfig {
 impl GuardConfig {
     /// The limits of a robot.
     pub fn of(model: &Model) -> Self {
-        let RobotLimits { force_n, speed_m_s } = model.limits();
-        Self { force_n, speed_m_s, ..Self::default() }
+        let RobotLimits { force_n, most_force_n, speed_m_s } = model.limits();
+        Self { force_n, most_force_n, speed_m_s, ..Self::default() }
     }
 }
 

@@ -41,9 +41,10 @@ impl Plant {
         for arm in robots.iter_mut().flat_map(|robot| &mut robot.arms) {
             let ArmWithHand { hand, pad: Some(padded), .. } = arm else { continue };
             let tcp = hand.moving(&physics.bodies);
+            let face = tcp.pose * padded.mounted.middle;
             let far = |object: &Object| {
                 let at = convert::to_pose(physics.bodies[object.handle].position());
-                object.cuboid.map(|_| (at.translation.vector - tcp.pose.translation.vector).norm())
+                object.cuboid.map(|half| from_box(&face, &at, &half))
             };
             let boxes = objects.iter().enumerate().filter_map(|(i, object)| Some((i, far(object)?)));
             let Some((nearest, _)) = boxes.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
@@ -119,5 +120,28 @@ fn apply_between(
         let body = &mut bodies[handle];
         body.add_force_at_point(convert::vector(&(force * sign)), at, true);
         body.add_torque(convert::vector(&(torque * sign)), true);
+    }
+}
+
+/// How far a point is from a box of these half edges, m.
+fn from_box(point: &Point3<f64>, at: &Isometry3<f64>, half: &Vector3<f64>) -> f64 {
+    (at.inverse_transform_point(point).coords.abs() - half).sup(&Vector3::zeros()).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pad_is_nearest_to_the_box_whose_side_it_touches() {
+        let face = Point3::new(0.15, 0.46, 1.17);
+        let wide = (Isometry3::translation(-0.1, 0.46, 1.17), Vector3::new(0.25, 0.1, 0.1));
+        let low = (Isometry3::translation(0.0, 0.48, 0.99), Vector3::new(0.05, 0.08, 0.02));
+        assert_eq!(from_box(&face, &wide.0, &wide.1), 0.0);
+        assert!(
+            (face - wide.0.translation.vector).coords.norm()
+                > (face - low.0.translation.vector).coords.norm()
+        );
+        assert!(from_box(&face, &low.0, &low.1) > 0.15);
     }
 }

@@ -23,12 +23,13 @@ use crate::skills::move_tcp::tolerances;
 
 /// Speed of the head, rad/s.
 const GAZE_SPEED: f64 = 1.5;
-/// A force of this size means that a hand has met something, N.
+/// A force of this size means that a hand has met something, N: it goes back so fast, m/s, for so long, s, at most so often.
 const STOPPING_FORCE: f64 = 15.0;
+const GOES_BACK: (f64, f64, usize) = (0.08, 0.8, 3);
 /// Where the hands wait for each other they need to be this much less exact.
 const WAITING: f64 = 3.0;
 /// For how long both hands have to be there, s, and how old what was seen of them may be then, s.
-const HOLD: f64 = 0.15;
+const HOLD: f64 = 0.35;
 const FRESH: f64 = 1.5;
 /// How long it takes both hands to come down, s.
 const COMES_DOWN: f64 = 1.6;
@@ -72,19 +73,21 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let (sample, dt) = senses.next().await?;
         seen.look()?;
         head.look(&sample, dt, &seen.looks_at(&sample), GAZE_SPEED)?;
+        for i in 0..2 {
+            let arm = both.arm(i);
+            let force = arm.force(&sample).map_or(0.0, |force| force.norm());
+            if force > STOPPING_FORCE && !reach.meets(i) {
+                return Err(Failure::new(format!(
+                    "`{}` met something on its way again and again: {force:.0} N at its wrist",
+                    arm.limb.name
+                )));
+            }
+        }
         let Some(twists) = reach.step(&sample, dt, &seen)? else {
             return Ok(Outcome::success().with("seen_error", reach.farthest));
         };
         for (i, Twist { linear, angular }) in twists.into_iter().enumerate() {
-            let arm = both.arm(i);
-            let force = arm.force(&sample).map_or(0.0, |force| force.norm());
-            if force > STOPPING_FORCE {
-                return Err(Failure::new(format!(
-                    "`{}` met something on its way: {force:.0} N at its wrist",
-                    arm.limb.name
-                )));
-            }
-            arm.twist(&sample, linear, angular)?;
+            both.arm(i).twist(&sample, linear, angular)?;
         }
     }
 }
@@ -100,6 +103,9 @@ struct Reach {
     there: f64,
     /// The larger distance of a hand from where it should be, m.
     farthest: f64,
+    /// For how long each hand still goes back from what it has met, s, and how often one has.
+    back: [f64; 2],
+    met: usize,
 }
 
 impl Reach {
@@ -117,7 +123,17 @@ impl Reach {
             ..ServoConfig::default()
         };
         let (laws, over) = (laws(&config)?, context.number("over")?);
-        Ok(Self { config, laws, over, down: None, there: 0.0, farthest: 0.0 })
+        Ok(Self { config, laws, over, down: None, there: 0.0, farthest: 0.0, back: [0.0; 2], met: 0 })
+    }
+
+    /// A hand has met something, as a thing that is moved against it: it goes back and both begin again. False when that was too often.
+    fn meets(&mut self, hand: usize) -> bool {
+        let (_, lasts, most) = GOES_BACK;
+        if self.back[hand] <= 0.0 {
+            (self.back[hand], self.down, self.there) = (lasts, None, 0.0);
+            self.met += 1;
+        }
+        self.met <= most
     }
 
     /// The velocities of both hands, root frame, m/s and rad/s; `None` when both are there.
@@ -168,7 +184,13 @@ impl Reach {
                 0.0
             }
         };
+        let back = self.back;
+        self.back = back.map(|left| (left - dt).max(0.0));
         let twist = |i: usize| {
+            if back.iter().any(|left| *left > 0.0) {
+                let linear = if back[i] > 0.0 { approach[i] * -GOES_BACK.0 } else { Vector3::zeros() };
+                return Twist { linear, angular: Vector3::zeros() };
+            }
             let descends = approach[i] * (speed * moving);
             Twist { linear: commands[i].linear + descends, angular: commands[i].angular }
         };

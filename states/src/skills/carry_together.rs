@@ -1,6 +1,6 @@
 //! `CarryTogether`: both hands carry what is between them to another place.
 
-use armarium_motion::StraightLine;
+use armarium_motion::{LoadStatus, StraightLine};
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -11,8 +11,9 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::motions::failed;
 
-/// The outcome besides `success`.
+/// The outcomes besides `success`.
 const LOST: &str = "lost";
+const SLIPS: &str = "slips";
 /// How long the load rests at the end, s, over which its weight is averaged.
 const RESTS: f64 = 0.5;
 
@@ -29,6 +30,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         .output("force", Type::quantity(Unit::N), "With what the hands press against each other at the end.")
         .output("weight", Type::quantity(Unit::N), "The weight that they carry at the end.")
         .outcome(LOST)
+        .outcome(SLIPS)
         .mark(Mark::at_start("carrying_started"))
         .mark(Mark::at_success("carrying_ended").with_output("weight_n", "weight"));
     let manifest = turns_torso(moves_both(manifest, equipment), equipment);
@@ -55,6 +57,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             return Ok(Outcome::named(LOST).with("force", force).with("weight", 0.0));
         };
         force = step.forces.squeeze;
+        if step.status == LoadStatus::Slips {
+            let weight = step.forces.external.z;
+            return Ok(Outcome::named(SLIPS).with("force", force).with("weight", weight));
+        }
         if line.rested(0.0) {
             weight += step.forces.external.z * dt;
             rested += dt;

@@ -110,7 +110,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 fn config(equipment: &Equipment, context: &SkillContext) -> AdmittanceConfig {
     let usual = AdmittanceConfig::default();
     let (limits, own) = (context.limits, equipment.robot.model().limits());
-    let force = limits.force_n.unwrap_or(own.force_n).min(own.force_n);
+    let force = own.force_of(limits.force_n);
     let speed = limits.speed_m_s.unwrap_or(own.speed_m_s).min(own.speed_m_s);
     AdmittanceConfig {
         shove: usual.shove.min(SHOVE * force),

@@ -45,6 +45,8 @@ const FILTER: f64 = 20.0;
 const LEARNING: LearningControlConfig = LearningControlConfig { q: 1.0, l: 0.3, c: 0.3 };
 /// K1 of (10), m/s/N.
 const K1: f64 = 0.08;
+/// How much more the hands press than with what a friction needs.
+const MARGIN: f64 = 1.2;
 /// The weight of forces along the line between the hands, in which the load is stiff.
 const ALONG: f64 = 0.1;
 /// An epoch in which the hands carry so much more or less than at rest, N and share of the weight, is disturbed from outside:
@@ -173,8 +175,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let senses = Senses::new(&*equipment.robot, &context);
     let sample = senses.newest();
     // Hands that yielded would hide what they have to learn.
-    let constants =
-        SharedLoadConfig { compliance: 0.0, turning_compliance: 0.0, ..config(&equipment, &context)? };
+    let usual = config(&equipment, &context)?;
+    let constants = SharedLoadConfig { compliance: 0.0, turning_compliance: 0.0, margin: MARGIN, ..usual };
     let law = SharedLoad::new(constants, &both.on_load(&sample)?).map_err(failed)?;
     let mut motion = |hand: usize| {
         HandMotion::demonstrated(both.arm(hand), &sample, task.space, task.path(hand), task.periods)

@@ -68,6 +68,24 @@ fn a_strong_push_is_given_way_to_until_it_is_under_the_limit() {
 }
 
 #[test]
+fn a_lease_may_say_a_larger_limit_up_to_the_most_of_the_robot() {
+    for (said, push, limit) in
+        [(None, 55.0, Some(40.0)), (Some(60.0), 55.0, None), (Some(200.0), 85.0, Some(70.0))]
+    {
+        let mut rig = Rig::new();
+        let lease =
+            rig.robot.lease("right_arm", "test", LeaseLimits { force_n: said, ..LeaseLimits::default() });
+        let lease = lease.unwrap();
+        rig.run(50, |_| Vector3::x() * -push);
+        let found = match lease.fault() {
+            Some(Fault::Force { limit_n, .. }) => Some(limit_n),
+            _ => None,
+        };
+        assert_eq!(found, limit, "{said:?}");
+    }
+}
+
+#[test]
 fn pressing_on_a_stiff_table_ends_under_the_limit_of_the_lease() {
     for stiffness in [2000.0, 10_000.0] {
         let mut rig = Rig::new();

@@ -28,7 +28,7 @@ struct Rig {
 impl Rig {
     fn new() -> Self {
         let model = Model::shipped("armar3").unwrap();
-        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::default());
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
         let joints = ServoJoints::new(&model, model.ready("right_arm"), 1);
         let mut rig = Self { model, guard, robot, joints, now_ms: 0, frozen: false };
         rig.run(150, |_| Vector3::zeros());
