@@ -206,15 +206,14 @@ impl ObjectLocalizer {
     /// is not the other's centroid: the side that is whole in both tells.
     fn counterpart(&self, l: &Component, r: &Component) -> Point2<f64> {
         let width = self.calibration.camera.width;
-        let cut = |side: fn(&Component) -> u32, border: u32| side(l) == border || side(r) == border;
-        let (left, right): (fn(&Component) -> u32, fn(&Component) -> u32) =
-            (|c| c.bounds.x, |c| c.bounds.x + c.bounds.width);
-        let whole = match (cut(left, 0), cut(right, width)) {
-            (true, false) => right,
-            (false, true) => left,
+        let sides = |c: &Component| [c.bounds.x, c.bounds.x + c.bounds.width];
+        let ([l_left, l_right], [r_left, r_right]) = (sides(l), sides(r));
+        let (in_left, in_right) = match (l_left.min(r_left) == 0, l_right.max(r_right) == width) {
+            (true, false) => (l_right, r_right),
+            (false, true) => (l_left, r_left),
             _ => return r.centroid,
         };
-        let disparity = f64::from(whole(l)) - f64::from(whole(r));
+        let disparity = f64::from(in_left) - f64::from(in_right);
         Point2::new(l.centroid.x - disparity, (l.centroid.y + r.centroid.y) / 2.0)
     }
 
