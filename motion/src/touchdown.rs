@@ -156,14 +156,14 @@ impl Touchdown {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use armarium_values::random::StandardNormal;
-    use rand::RngExt as _;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
 
     fn land(stiffness: f64, delay: f64, force: f64, dt: f64) -> (f64, f64, TouchdownStatus) {
         let mut law = Touchdown::new(TouchdownConfig { force, ..TouchdownConfig::default() }).unwrap();
         let mut random = ChaCha8Rng::seed_from_u64(5);
+        let noise = Normal::new(0.0, 0.3).unwrap();
         let steps = (delay / dt).round() as usize;
         let mut queue = vec![0.0; steps + 1];
         let (mut z, mut worst, mut t) = (0.05_f64, 0.0_f64, 0.0);
@@ -171,8 +171,7 @@ mod tests {
             z += queue[k % (steps + 1)] * dt;
             let truth = (-stiffness * z).max(0.0);
             worst = worst.max(truth);
-            queue[k % (steps + 1)] =
-                law.step(dt, truth + 0.3 * random.sample::<f64, _>(StandardNormal)).unwrap();
+            queue[k % (steps + 1)] = law.step(dt, truth + noise.sample(&mut random)).unwrap();
             t += dt;
             if !matches!(law.status(), TouchdownStatus::Approaching | TouchdownStatus::Pressing) {
                 break;

@@ -5,10 +5,10 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{DemonstrationSegmenter, DemonstrationStage, Imitation, SegmenterConfig};
-use armarium_values::random::StandardNormal;
 use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 
 struct Coach {
     shape: &'static str,
@@ -45,10 +45,11 @@ struct Outcome {
 
 fn learn(coach: &Coach, noise: f64, seed: u64) -> Outcome {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let normal = Normal::new(0.0, 1.0).unwrap();
     let (from, to) = (Vector3::new(0.20, 0.48, 1.15), Vector3::new(0.36, 0.58, 1.15));
     let mut periods = Vec::new();
     for _ in 0..15 {
-        periods.push((1.0 + coach.jitter * random.sample::<f64, _>(StandardNormal)) / coach.frequency);
+        periods.push((1.0 + coach.jitter * normal.sample(&mut random)) / coach.frequency);
     }
     let swipe_end = 1.0 + 1.5;
     let way = swipe_end + coach.pause;
@@ -81,7 +82,7 @@ fn learn(coach: &Coach, noise: f64, seed: u64) -> Outcome {
         if random.random::<f64>() < 0.08 {
             continue;
         }
-        let shake = Vector3::from_fn(|_, _| noise * random.sample::<f64, _>(StandardNormal));
+        let shake = Vector3::from_fn(|_, _| noise * normal.sample(&mut random));
         let seen = truth(t) + shake;
         let known = segmenter.observe(t, Point3::from(seen)).unwrap();
         if known.stage == DemonstrationStage::Periodic {

@@ -5,10 +5,9 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
-use armarium_values::random::StandardNormal;
 use rand::SeedableRng;
-use rand::distr::Distribution;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 const DT: f64 = 0.001;
 

@@ -3,11 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 use armarium_host::bench::Bench;
 use armarium_memoryx::{Commit, EntityId, Pattern, Query, Snapshot};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_simulator::World;
 use armarium_states::Equipment;
 use armarium_values::{Frame, Pose, Reference, Value};
 use futures::FutureExt as _;
@@ -119,7 +121,11 @@ impl Skill for Carries {
 
 #[test]
 fn memory_carries_along_what_the_hand_carries_and_what_stands_on_it() {
+    // Each reading of the joints would put the hand up to 2 mm elsewhere.
+    let exact = "world: exact\nphysics: ideal\nrobot: {noise: {joint: 0}}\n";
+    let world = World::parse(Path::new("exact.world.yaml"), exact).unwrap();
     let ended = Bench::new(|equipment: &Equipment| Arc::new(Carries(equipment.clone())) as Arc<dyn Skill>)
+        .world(world)
         .run()
         .unwrap();
     assert_eq!(ended.outcome, "success", "{:?}", ended.reason);

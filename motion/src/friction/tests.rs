@@ -1,10 +1,9 @@
 //! Tests the friction model with sliding bristles, pushes and noise.
 
 use super::*;
-use armarium_values::random::StandardNormal;
-use rand::RngExt as _;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 use std::f64::consts::TAU;
 
 /// A spring of `stiffness` N/m between hand and table that slides at Coulomb's limit: a different law from Dahl's.
@@ -37,6 +36,7 @@ fn wipe(mu: f64, normal: f64, stiffness: f64, line: bool, hz: f64, push: bool) -
     let mut model = FrictionModel::new(FrictionConfig::default()).unwrap();
     let mut bristle = Bristle { stiffness, mu, stretch: Vector2::zeros() };
     let mut random = ChaCha8Rng::seed_from_u64(11);
+    let noise = Normal::new(0.0, 0.3).unwrap();
     let dt = 0.001;
     let (mut held, mut worst_held) = (0.0_f64, 0.0_f64);
     let (mut pushed, mut count) = (Vector2::zeros(), 0.0);
@@ -49,12 +49,12 @@ fn wipe(mu: f64, normal: f64, stiffness: f64, line: bool, hz: f64, push: bool) -
         let pressed = normal + 0.5 * libm::sin(3.0 * phase);
         let mut force = bristle.force(velocity, pressed, dt);
         force += Vector2::new(0.6 + 0.01 * t, -0.4);
-        force += Vector2::from_fn(|_, _| 0.3 * random.sample::<f64, _>(StandardNormal));
+        force += Vector2::from_fn(|_, _| noise.sample(&mut random));
         let on = push && t > 20.0 && (phase / TAU).fract() < 0.2;
         if on {
             force.y += 12.0;
         }
-        let measured = pressed + 0.3 * random.sample::<f64, _>(StandardNormal);
+        let measured = pressed + noise.sample(&mut random);
         let rest = model.step(dt, measured, velocity.into(), force.into()).unwrap();
         let rest = Vector2::from(rest);
         if on && (phase / TAU).fract() > 0.1 {

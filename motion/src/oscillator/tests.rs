@@ -1,21 +1,21 @@
 //! On which signals the oscillator settles, and how fast.
 
 use super::*;
-use armarium_values::random::StandardNormal;
-use rand::RngExt as _;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 
 /// The time from which on the one-period mean of Omega stays within 1 %, in periods.
 fn settles_after(config: OscillatorConfig, f: f64, dt: f64, signal: impl Fn(f64, f64) -> Vec<f64>) -> f64 {
     let mut osc = AdaptiveOscillator::new(config).unwrap();
     let mut noise = ChaCha8Rng::seed_from_u64(3);
+    let normal = Normal::new(0.0, 1.0).unwrap();
     let steps = (16.0 / f / dt) as usize;
     let window = (1.0 / f / dt).round() as usize;
     let mut omegas = Vec::new();
     for k in 0..steps {
         let t = k as f64 * dt;
-        osc.update(dt, &signal(TAU * f * t, noise.sample(StandardNormal))).unwrap();
+        osc.update(dt, &signal(TAU * f * t, normal.sample(&mut noise))).unwrap();
         omegas.push(if osc.running() { osc.omega() } else { 0.0 });
     }
     let good = |k: usize| {

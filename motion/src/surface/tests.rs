@@ -1,10 +1,9 @@
 //! Force adaptation on simulated contacts: lag, dead time, noise, tilt and bumps.
 
 use super::*;
-use armarium_values::random::StandardNormal;
-use rand::RngExt as _;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 
 struct Bench {
     stiffness: f64,
@@ -44,6 +43,7 @@ fn run(bench: &Bench, config: SurfaceConfig, cycles: u32) -> Result {
 /// `cycles` of adaptation, then 4 with the feedback off, on a simulated contact: arm lag, dead time, noise.
 fn run_from(bench: &Bench, mut adaptation: SurfaceAdaptation, cycles: u32) -> (Result, SurfaceAdaptation) {
     let mut random = ChaCha8Rng::seed_from_u64(7);
+    let noise = Normal::new(0.0, 0.3).unwrap();
     let omega = TAU * bench.hz;
     let dead = (bench.dead / bench.dt).round() as usize;
     let mut commands = vec![(0.0, 0.0); dead + 1];
@@ -60,12 +60,7 @@ fn run_from(bench: &Bench, mut adaptation: SurfaceAdaptation, cycles: u32) -> (R
         let pace = if adaptation.cycles() < 3 { adaptation.pace() } else { 1.0 };
         let speed = omega * pace;
         let c = adaptation
-            .step(
-                bench.dt,
-                phase.rem_euclid(TAU),
-                speed,
-                truth + 0.3 * random.sample::<f64, _>(StandardNormal),
-            )
+            .step(bench.dt, phase.rem_euclid(TAU), speed, truth + noise.sample(&mut random))
             .unwrap();
         fastest = fastest.max(c.velocity.abs());
         commands[k % (dead + 1)] = (c.offset, phase);
