@@ -153,24 +153,24 @@ pub fn check(bytes: &[u8], bounds: Bounds) -> Result<(), CodecError> {
     let (mut at, mut items) = (0, 0);
     loop {
         let start = at;
-        let head = Head::read(bytes, &mut at)?;
+        let head = ItemHeader::read(bytes, &mut at)?;
         items += 1;
         if items > bounds.items {
             return Err(CodecError::TooMany { most: bounds.items });
         }
         let opened = match head {
-            Head::Scalar => None,
-            Head::Bytes(length) => {
+            ItemHeader::Scalar => None,
+            ItemHeader::Bytes(length) => {
                 let end = usize::try_from(length).ok().and_then(|n| at.checked_add(n));
                 at = end.filter(|end| *end <= bytes.len()).ok_or(CodecError::Truncated)?;
                 None
             }
-            Head::Container(n) => Some(n),
-            Head::Break if depth > 0 && open[depth - 1].is_none() => {
+            ItemHeader::Container(n) => Some(n),
+            ItemHeader::Break if depth > 0 && open[depth - 1].is_none() => {
                 depth -= 1;
                 None
             }
-            Head::Break => return Err(CodecError::Malformed { at: start }),
+            ItemHeader::Break => return Err(CodecError::Malformed { at: start }),
         };
         match opened {
             Some(Some(0)) | None => {}
@@ -200,7 +200,7 @@ pub fn check(bytes: &[u8], bounds: Bounds) -> Result<(), CodecError> {
 }
 
 /// The content of an item's head.
-enum Head {
+enum ItemHeader {
     Scalar,
     Bytes(u64),
     /// The number of its items; `None` where a break ends it.
@@ -208,7 +208,7 @@ enum Head {
     Break,
 }
 
-impl Head {
+impl ItemHeader {
     fn read(bytes: &[u8], at: &mut usize) -> Result<Self, CodecError> {
         let start = *at;
         let malformed = CodecError::Malformed { at: start };

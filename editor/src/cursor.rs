@@ -5,7 +5,7 @@ use armarium_source::{Layout, Source, Span};
 
 /// A step from the whole file inward.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Step {
+pub(crate) enum PathStep {
     /// Under a key.
     Key(String),
     /// An item of a list.
@@ -25,7 +25,7 @@ pub(crate) enum Place {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Cursor {
     /// The keys that it is under; at a value the value's own key is the last.
-    pub(crate) path: Vec<Step>,
+    pub(crate) path: Vec<PathStep>,
     pub(crate) place: Place,
     /// The entry that the path leads to.
     pub(crate) entry: Option<usize>,
@@ -55,8 +55,8 @@ impl Cursor {
     /// The name of the last key of the path.
     pub(crate) fn key(&self) -> Option<&str> {
         self.path.iter().rev().find_map(|step| match step {
-            Step::Key(key) => Some(key.as_str()),
-            Step::Item => None,
+            PathStep::Key(key) => Some(key.as_str()),
+            PathStep::Item => None,
         })
     }
 
@@ -74,8 +74,8 @@ impl Cursor {
         let mut names = Vec::new();
         let mut steps = self.path.iter();
         while let Some(step) = steps.next() {
-            if matches!(step, Step::Key(key) if key == "states" || key == "parallel")
-                && let Some(Step::Key(name)) = steps.next()
+            if matches!(step, PathStep::Key(key) if key == "states" || key == "parallel")
+                && let Some(PathStep::Key(name)) = steps.next()
             {
                 names.push(name.as_str());
             }
@@ -85,13 +85,13 @@ impl Cursor {
 }
 
 /// The keys down to an entry.
-pub(crate) fn path(text: &str, layout: &Layout, entry: Option<usize>) -> Vec<Step> {
+pub(crate) fn path(text: &str, layout: &Layout, entry: Option<usize>) -> Vec<PathStep> {
     let outward = entry.into_iter().flat_map(|entry| layout.outward(entry));
     let step = |at: usize| match layout.entries[at].item {
-        true => Step::Item,
-        false => Step::Key(layout.key(text, at).to_owned()),
+        true => PathStep::Item,
+        false => PathStep::Key(layout.key(text, at).to_owned()),
     };
-    let mut path: Vec<Step> = outward.map(step).collect();
+    let mut path: Vec<PathStep> = outward.map(step).collect();
     path.reverse();
     path
 }
@@ -179,9 +179,9 @@ mod tests {
         let offset = text.find('|').expect("the text has a mark");
         let source = Source::new("t.yaml", text.replacen('|', "", 1));
         let Some(cursor) = Cursor::at(&source, offset) else { return "nowhere".into() };
-        let step = |step: &Step| match step {
-            Step::Key(key) => key.clone(),
-            Step::Item => "-".into(),
+        let step = |step: &PathStep| match step {
+            PathStep::Key(key) => key.clone(),
+            PathStep::Item => "-".into(),
         };
         let path: Vec<String> = cursor.path.iter().map(step).collect();
         format!(

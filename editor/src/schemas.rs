@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use armarium_runtime::chart::Registry;
 use serde_json::{Map, Value as Json};
 
-use crate::cursor::Step;
+use crate::cursor::PathStep;
 use crate::kind::FileKind;
 
 /// The schemas of all kinds.
@@ -38,7 +38,7 @@ impl Schemas {
     }
 
     /// What may stand under a path of keys.
-    pub(crate) fn at(&self, kind: FileKind, path: &[Step]) -> Forms<'_> {
+    pub(crate) fn at(&self, kind: FileKind, path: &[PathStep]) -> Forms<'_> {
         let root = &self.0[&kind];
         let mut forms = Forms { root, nodes: Vec::new(), names: Vec::new() };
         forms.spread(root, 0);
@@ -66,12 +66,12 @@ impl<'s> Forms<'s> {
         }
     }
 
-    fn step(&self, step: &Step) -> Self {
+    fn step(&self, step: &PathStep) -> Self {
         let mut next = self.empty();
         for node in &self.nodes {
             let found = match step {
-                Step::Item => node.get("items"),
-                Step::Key(key) => node["properties"]
+                PathStep::Item => node.get("items"),
+                PathStep::Key(key) => node["properties"]
                     .get(key)
                     .or_else(|| node.get("additionalProperties").filter(|more| more.is_object())),
             };

@@ -38,7 +38,7 @@ const FINE: f64 = 0.0005;
 
 /// Links that move as one.
 #[derive(Clone, Debug)]
-struct Body {
+struct MovingLinks {
     /// The link whose frame its parts are in.
     link: LinkId,
     parts: Vec<Part>,
@@ -83,7 +83,7 @@ pub(crate) struct Near {
 /// The robot's bodies and the pairs that have to stay apart.
 #[derive(Debug)]
 pub(crate) struct Bodies {
-    bodies: Vec<Body>,
+    bodies: Vec<MovingLinks>,
     pairs: Vec<Pair>,
 }
 
@@ -203,7 +203,7 @@ impl Bodies {
         name: &str,
     ) -> usize {
         let shape = SharedShape::new(Cuboid::new(vector(&(size / 2.0))));
-        let mut body = Body::new(link, Part { link, body_from_shape, shape });
+        let mut body = MovingLinks::new(link, Part { link, body_from_shape, shape });
         body.name = Some(name.to_owned());
         body.enclose();
         self.bodies.push(body);
@@ -293,9 +293,9 @@ fn joints_between(model: &Model, a: LinkId, b: LinkId) -> BTreeSet<usize> {
     (0..model.joints().len()).filter(|&joint| model.moves(joint, a) != model.moves(joint, b)).collect()
 }
 
-fn bodies(kinematics: &Kinematics) -> Vec<Body> {
+fn bodies(kinematics: &Kinematics) -> Vec<MovingLinks> {
     let model = kinematics.model();
-    let mut bodies: Vec<Body> = Vec::new();
+    let mut bodies: Vec<MovingLinks> = Vec::new();
     for (index, link) in model.links().iter().enumerate() {
         let id = LinkId(index);
         let carrier = carrier(model, id);
@@ -306,11 +306,11 @@ fn bodies(kinematics: &Kinematics) -> Vec<Body> {
             let part = Part { link: id, body_from_shape, shape };
             match bodies.iter_mut().find(|body| body.link == carrier) {
                 Some(body) => body.parts.push(part),
-                None => bodies.push(Body::new(carrier, part)),
+                None => bodies.push(MovingLinks::new(carrier, part)),
             }
         }
     }
-    bodies.iter_mut().for_each(Body::enclose);
+    bodies.iter_mut().for_each(MovingLinks::enclose);
     bodies
 }
 
@@ -355,7 +355,7 @@ fn hull(mesh: &Mesh) -> (Isometry3<f64>, SharedShape) {
     )
 }
 
-impl Body {
+impl MovingLinks {
     /// A body of one part; its ball is not yet known.
     fn new(link: LinkId, part: Part) -> Self {
         Self { link, parts: vec![part], name: None, center: Point3::origin(), radius: 0.0 }
@@ -376,7 +376,7 @@ impl Body {
 
 impl Pair {
     /// Two bodies of a robot: all their parts, but for those that may touch.
-    fn new([a, b]: [usize; 2], bodies: &[Body], model: &Model) -> Self {
+    fn new([a, b]: [usize; 2], bodies: &[MovingLinks], model: &Model) -> Self {
         let both = (0..bodies[a].parts.len()).flat_map(|i| (0..bodies[b].parts.len()).map(move |k| [i, k]));
         let apart =
             |[i, k]: &[usize; 2]| !model.may_touch(bodies[a].parts[*i].link, bodies[b].parts[*k].link);
@@ -384,7 +384,7 @@ impl Pair {
     }
 
     /// The nearest points of both, or a lower bound of their distance where they are farther apart than [`FAR`], m.
-    fn nearest(&self, kinematics: &Kinematics, bodies: &[Body]) -> Result<Near, f64> {
+    fn nearest(&self, kinematics: &Kinematics, bodies: &[MovingLinks]) -> Result<Near, f64> {
         let [a, b] = self.bodies.map(|body| &bodies[body]);
         let (root_from_a, root_from_b) = (kinematics.pose(a.link), kinematics.pose(b.link));
         let between = (root_from_b * b.center - root_from_a * a.center).norm();
@@ -491,7 +491,7 @@ impl Distances {
 }
 
 /// How far any point of a body has moved at most between two poses of its link, m.
-fn displacement(before: &Isometry3<f64>, now: &Isometry3<f64>, body: &Body) -> f64 {
+fn displacement(before: &Isometry3<f64>, now: &Isometry3<f64>, body: &MovingLinks) -> f64 {
     let (a, b) = (before.rotation.coords, now.rotation.coords);
     // A quaternion and its negative are one rotation; a chord of the turn is at most twice the quaternions' distance.
     let turned = 2.0 * (a - b).norm().min((a + b).norm());
@@ -545,7 +545,7 @@ mod tests {
     #[test]
     fn distances_are_those_of_geometry() {
         let body = |body_from_shape: Isometry3<f64>, shape: SharedShape| {
-            let mut body = Body::new(LinkId(0), Part { link: LinkId(0), body_from_shape, shape });
+            let mut body = MovingLinks::new(LinkId(0), Part { link: LinkId(0), body_from_shape, shape });
             body.enclose();
             body
         };
@@ -553,8 +553,9 @@ mod tests {
         let (upright, shape) = convex(&Geometry::Cylinder { radius: 0.1, length: 1.0 });
         let cylinder = body(Isometry3::translation(0.0, 0.3, 0.0) * upright, shape);
         let kinematics = Kinematics::new(&armar3());
-        let nearest =
-            |a: Body, b: Body| Pair { bodies: [0, 1], parts: vec![[0, 0]] }.nearest(&kinematics, &[a, b]);
+        let nearest = |a: MovingLinks, b: MovingLinks| {
+            Pair { bodies: [0, 1], parts: vec![[0, 0]] }.nearest(&kinematics, &[a, b])
+        };
         let near = nearest(ball(0.0), ball(0.25)).unwrap();
         assert!((near.distance - 0.05).abs() < 1e-9 && near.direction.x > 0.999, "{near:?}");
         let overlap = nearest(ball(0.0), ball(0.15)).unwrap();

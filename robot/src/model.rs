@@ -59,6 +59,20 @@ pub enum Geometry {
     Mesh(Arc<Mesh>),
 }
 
+impl Geometry {
+    /// The box around it: its middle, and half its extents along x, y and z, m.
+    pub fn surrounding_box(&self) -> (Point3<f64>, Vector3<f64>) {
+        let half = match self {
+            Self::Box { size } => size / 2.0,
+            Self::Cylinder { radius, length } => Vector3::new(*radius, *radius, length / 2.0),
+            Self::Sphere { radius } => Vector3::repeat(*radius),
+            Self::Capsule { radius, length } => Vector3::new(*radius, *radius, length / 2.0 + radius),
+            Self::Mesh(mesh) => return mesh.surrounding_box(),
+        };
+        (Point3::origin(), half)
+    }
+}
+
 /// A visible part of a link.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Visual {

@@ -33,7 +33,7 @@ pub fn load_mass(before: &ForceTorque, after: &ForceTorque) -> f64 {
 
 /// The rigid body beyond the sensor, in the root frame.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Body {
+pub(crate) struct BodyBeyondSensor {
     pub(crate) mass: f64,
     /// Vector from the sensor's origin to the centre of mass, m.
     pub(crate) center: Vector3<f64>,
@@ -56,9 +56,9 @@ impl LoadedHand {
         Self { sensor, tcp, links, load: None }
     }
 
-    pub(crate) fn body(&self, kinematics: &Kinematics) -> Body {
+    pub(crate) fn body(&self, kinematics: &Kinematics) -> BodyBeyondSensor {
         let origin = Point3::from(kinematics.pose(self.sensor).translation.vector);
-        let mut body = Body { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() };
+        let mut body = BodyBeyondSensor { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() };
         let mut about_origin = Matrix3::zeros();
         let mut add = |mass: f64, center: Vector3<f64>, inertia: Matrix3<f64>| {
             body.mass += mass;
@@ -105,7 +105,7 @@ fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// `m (a_c - g)`, and its torque about the sensor's origin.
-fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> ForceTorque {
+fn inertial_load(body: &BodyBeyondSensor, angular: &Vector3<f64>, acceleration: &Twist) -> ForceTorque {
     let (w, al, c) = (angular, &acceleration.angular, &body.center);
     let at_center = acceleration.linear + al.cross(c) + w.cross(&w.cross(c));
     let force = body.mass * (at_center - GRAVITY);

@@ -1,7 +1,7 @@
 //! Where the own hand is at a time, as boxes around the parts that the robot's description draws: what a processor of pictures needs to
 //! leave the own body out.
 
-use armarium_robot::{Geometry, Limb, LinkId};
+use armarium_robot::{Limb, LinkId};
 use armarium_runtime::skill::Failure;
 use armarium_visionx::{OwnFinger, OwnHand, OwnPart};
 use nalgebra::{Isometry3, Translation3, Vector3};
@@ -56,23 +56,9 @@ pub(crate) fn own_hand(
 fn boxes(equipment: &Equipment, link: LinkId) -> Vec<LinkBox> {
     let visuals = &equipment.robot.model().links()[link.index()].visuals;
     let around = visuals.iter().map(|visual| {
-        let (middle, size) = surrounding_box(&visual.shape);
-        LinkBox { link, link_from_box: visual.link_from_shape * Translation3::from(middle), size }
+        let (middle, half) = visual.shape.surrounding_box();
+        let link_from_box = visual.link_from_shape * Translation3::from(middle);
+        LinkBox { link, link_from_box, size: 2.0 * half }
     });
     around.collect()
-}
-
-/// The middle and the edges of the box around a form, m.
-fn surrounding_box(form: &Geometry) -> (Vector3<f64>, Vector3<f64>) {
-    let round = |radius: f64, length: f64| Vector3::new(2.0 * radius, 2.0 * radius, length);
-    match form {
-        Geometry::Box { size } => (Vector3::zeros(), *size),
-        Geometry::Cylinder { radius, length } => (Vector3::zeros(), round(*radius, *length)),
-        Geometry::Sphere { radius } => (Vector3::zeros(), round(*radius, 2.0 * radius)),
-        Geometry::Capsule { radius, length } => (Vector3::zeros(), round(*radius, length + 2.0 * radius)),
-        Geometry::Mesh(mesh) => {
-            let (middle, half) = mesh.surrounding_box();
-            (middle.coords, 2.0 * half)
-        }
-    }
 }

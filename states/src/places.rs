@@ -6,7 +6,7 @@ use armarium_memoryx::{EntityId, Memory, ObjectClass, Snapshot, WORLD};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;
-use armarium_values::{Frame, Observation, Search, Value};
+use armarium_values::{Frame, Observation, Search, Value, distance_from_box};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use parking_lot::RwLock;
 
@@ -142,6 +142,5 @@ fn shape(remembered: Remembered<'_>, snapshot: &Snapshot, size: [f64; 3]) -> Opt
 
 /// The distance of a point from a box, m; 0 inside.
 pub(crate) fn distance(known: &KnownBox, point: &Point3<f64>) -> f64 {
-    let in_box = known.root_from_box.inverse() * point;
-    (in_box.coords.abs() - known.size / 2.0).sup(&Vector3::zeros()).norm()
+    distance_from_box(point, &known.root_from_box, &known.size)
 }

@@ -1,6 +1,6 @@
 //! Geometric values that carry the frame they are expressed in. SI units, right-handed frames (REP 103).
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// The name of a coordinate frame, for instance `root` (robot's root frame), `world` or `tcp_right`.
@@ -80,4 +80,10 @@ impl Pose {
         let rotation = UnitQuaternion::try_new(q, 1e-9).unwrap_or_else(UnitQuaternion::identity);
         Isometry3::from_parts(Translation3::from(Vector3::from(self.position)), rotation)
     }
+}
+
+/// The distance of a point from a box with these edges, m; 0 inside. The point and the box's middle are in the same frame.
+pub fn distance_from_box(point: &Point3<f64>, frame_from_box: &Isometry3<f64>, edges: &Vector3<f64>) -> f64 {
+    let in_box = frame_from_box.inverse_transform_point(point);
+    (in_box.coords.abs() - edges / 2.0).sup(&Vector3::zeros()).norm()
 }

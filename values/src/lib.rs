@@ -16,7 +16,7 @@ mod unit;
 mod value;
 
 pub use frame_change::FrameChange;
-pub use geometry::{Frame, Pose, Vector, Wrench};
+pub use geometry::{Frame, Pose, Vector, Wrench, distance_from_box};
 pub use observation::{NotAnObservation, Observation, ObservedPlace};
 pub use search::{Search, Shown};
 pub use types::{ConvertError, Fit, Type};

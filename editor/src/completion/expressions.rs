@@ -4,7 +4,7 @@ use armarium_source::Span;
 use armarium_values::{Type, expr};
 
 use super::{Completing, Icon, Proposal};
-use crate::cursor::{Cursor, Step};
+use crate::cursor::{Cursor, PathStep};
 
 impl Completing<'_> {
     /// What an expression may go on with; `written` is its text before the place.
@@ -68,9 +68,9 @@ impl Completing<'_> {
     fn event_type(&self, cursor: &Cursor) -> Type {
         let mut path = cursor.path.iter();
         let event = path
-            .find(|step| matches!(step, Step::Key(key) if key == "transitions"))
+            .find(|step| matches!(step, PathStep::Key(key) if key == "transitions"))
             .and_then(|_| path.next());
-        let Some(Step::Key(event)) = event else { return Type::Any };
+        let Some(PathStep::Key(event)) = event else { return Type::Any };
         let declared = self.scoped(cursor, |scope| {
             let all = scope.library.charts.values().flat_map(|chart| chart.events());
             all.filter(|(name, _)| name == event).find_map(|(_, ty)| ty.cloned())

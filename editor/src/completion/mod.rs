@@ -13,7 +13,7 @@ use lsp_types::{
     MarkupContent, MarkupKind, Position, TextEdit, Uri,
 };
 
-use crate::cursor::{Cursor, Place, Step};
+use crate::cursor::{Cursor, PathStep, Place};
 use crate::kind::FileKind;
 use crate::schemas::Forms;
 use crate::scope::{Scope, shown};
@@ -111,7 +111,7 @@ impl Completing<'_> {
             Place::Key => {
                 let mut proposals = self.keys(cursor);
                 // An item of a list may be a value, too.
-                if cursor.path.last() == Some(&Step::Item) {
+                if cursor.path.last() == Some(&PathStep::Item) {
                     proposals.extend(self.values(cursor).0);
                 }
                 (proposals, self.key_span(cursor))
@@ -212,7 +212,7 @@ impl Completing<'_> {
     /// Keys that are names: of events, inputs, variables, skills.
     fn names_as_keys(&self, cursor: &Cursor) -> Vec<Proposal> {
         let under = match cursor.path.last() {
-            Some(Step::Key(key)) => key.as_str(),
+            Some(PathStep::Key(key)) => key.as_str(),
             _ => return Vec::new(),
         };
         let input = |parameter: &Parameter| {

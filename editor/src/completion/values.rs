@@ -8,7 +8,7 @@ use armarium_values::{Fit, Type, Unit};
 
 use super::expressions::{expression_before, words};
 use super::{Completing, Icon, Proposal, placeholder, snippet_text};
-use crate::cursor::{Cursor, Step};
+use crate::cursor::{Cursor, PathStep};
 use crate::kind::FileKind;
 use crate::scope::Scope;
 use crate::symbols::describe;
@@ -126,7 +126,7 @@ impl Completing<'_> {
 
     pub(super) fn targets(&self, cursor: &Cursor, scope: &Scope<'_>) -> Vec<Proposal> {
         // `initial` leads inside, a transition to what can be seen from its state.
-        let inside = cursor.path.iter().any(|step| matches!(step, Step::Key(key) if key == "initial"));
+        let inside = cursor.path.iter().any(|step| matches!(step, PathStep::Key(key) if key == "initial"));
         let states = &scope.outline.states;
         let visible = match inside {
             true => states[scope.state].children.iter().map(|c| (*c, states[*c].name.clone())).collect(),
@@ -166,7 +166,8 @@ impl Completing<'_> {
 
     /// What may be given to an input: its words, and variables that fit.
     fn given(&self, cursor: &Cursor, quoted: bool) -> Vec<Proposal> {
-        let under = |key: &str| cursor.path.iter().any(|step| matches!(step, Step::Key(name) if name == key));
+        let under =
+            |key: &str| cursor.path.iter().any(|step| matches!(step, PathStep::Key(name) if name == key));
         if self.kind == FileKind::Chart && under("assign") {
             let assigned = self.scoped(cursor, |scope| {
                 let (section, name) = cursor.key()?.split_once('.')?;

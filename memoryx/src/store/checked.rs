@@ -98,13 +98,13 @@ pub(super) struct CheckedFile<F> {
     boot: Option<Boot>,
     salvages: Arc<AtomicBool>,
     /// Read at the first use: then the database has locked the file.
-    state: Mutex<Option<State>>,
+    state: Mutex<Option<FileState>>,
     /// The checksum of a block of zeros.
     zero: u32,
 }
 
 #[derive(Debug)]
-struct State {
+struct FileState {
     head: Box<[u8; HEAD]>,
     /// The flags at the last sync, and whether the header was written since.
     synced_flags: u8,
@@ -187,7 +187,7 @@ impl<F: StorageBackend> CheckedFile<F> {
     }
 
     /// Uses the state, which is read first if that was not done yet.
-    fn with<T>(&self, act: impl FnOnce(&mut State) -> io::Result<T>) -> io::Result<T> {
+    fn with<T>(&self, act: impl FnOnce(&mut FileState) -> io::Result<T>) -> io::Result<T> {
         let mut state = self.state.lock();
         let state = match &mut *state {
             Some(state) => state,
@@ -196,7 +196,7 @@ impl<F: StorageBackend> CheckedFile<F> {
         act(state)
     }
 
-    fn first_state(&self) -> io::Result<State> {
+    fn first_state(&self) -> io::Result<FileState> {
         let mut head = Box::new([0; HEAD]);
         let len = self.file.len()?;
         let mut is_doubtful = false;
@@ -220,7 +220,7 @@ impl<F: StorageBackend> CheckedFile<F> {
             head[FLAGS_AT] = head[FLAGS_AT] & !TWO_PHASES | IN_USE;
         }
         let synced_flags = head[FLAGS_AT];
-        let mut state = State { head, synced_flags, is_head_written: false, groups: BTreeMap::new() };
+        let mut state = FileState { head, synced_flags, is_head_written: false, groups: BTreeMap::new() };
         if is_doubtful {
             self.sum_all(&mut state)?;
         }
@@ -228,7 +228,7 @@ impl<F: StorageBackend> CheckedFile<F> {
     }
 
     /// Takes the checksums of what is there, which the database compares with its own.
-    fn sum_all(&self, state: &mut State) -> io::Result<()> {
+    fn sum_all(&self, state: &mut FileState) -> io::Result<()> {
         let blocks = inner_len(self.file.len()?) / BLOCK as u64 - 1;
         for group in 0..blocks.div_ceil(GROUP) {
             let count = (blocks - group * GROUP).min(GROUP) as usize;
@@ -241,7 +241,7 @@ impl<F: StorageBackend> CheckedFile<F> {
         Ok(())
     }
 
-    fn sums<'s>(&self, state: &'s mut State, group: u64) -> io::Result<&'s mut Sums> {
+    fn sums<'s>(&self, state: &'s mut FileState, group: u64) -> io::Result<&'s mut Sums> {
         Ok(match state.groups.entry(group) {
             std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
             std::collections::btree_map::Entry::Vacant(unknown) => {
@@ -254,7 +254,7 @@ impl<F: StorageBackend> CheckedFile<F> {
     }
 
     /// Writes the checksums that have changed.
-    fn write_sums(&self, state: &mut State) -> io::Result<()> {
+    fn write_sums(&self, state: &mut FileState) -> io::Result<()> {
         for (group, sums) in &mut state.groups {
             let Some((from, to)) = sums.changed else { continue };
             let changed = sums.sums.get(from..=to).unwrap_or_default();

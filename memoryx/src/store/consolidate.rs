@@ -145,7 +145,7 @@ impl LastStored {
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct ConsolidatorState {
     last: BTreeMap<EntityId, LastStored>,
     /// Of entities that are not stored: the last version that is noted as given on disk, and the last that was given.
     noted: u64,
@@ -159,7 +159,7 @@ struct State {
 pub struct Consolidator {
     store: Arc<LongTermMemory>,
     policies: Policies,
-    state: Mutex<State>,
+    state: Mutex<ConsolidatorState>,
 }
 
 impl Consolidator {
@@ -169,7 +169,12 @@ impl Consolidator {
     /// When the store cannot be read.
     pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Result<Self, StoreError> {
         let noted = store.given_to_others()?;
-        let state = Mutex::new(State { noted, given: noted, given_before: noted, ..State::default() });
+        let state = Mutex::new(ConsolidatorState {
+            noted,
+            given: noted,
+            given_before: noted,
+            ..ConsolidatorState::default()
+        });
         Ok(Self { store, policies, state })
     }
 

@@ -85,10 +85,10 @@ fn no_bytes_of_a_record_panic() {
             changed[at] = value;
             // The checksum detects it; the decoder must not panic without the checksum either.
             let _ = record::head(&changed);
-            let head = record::Head { length: changed.len(), number: 0, version: 1 };
+            let head = record::RecordHeader { length: changed.len(), number: 0, version: 1 };
             let _ = record::decode(&everything.id, head, &changed, &none);
         }
-        let cut = record::Head { length: at, number: 0, version: 1 };
+        let cut = record::RecordHeader { length: at, number: 0, version: 1 };
         assert!(record::decode(&everything.id, cut, &bytes, &none).is_err());
     }
 }

@@ -101,7 +101,12 @@ impl Reader {
     }
 
     /// Whether a record is forgotten, though its chunk is still there.
-    pub(super) fn is_forgotten(&self, chunk: u64, offset: usize, head: record::Head) -> Result<bool, Fault> {
+    pub(super) fn is_forgotten(
+        &self,
+        chunk: u64,
+        offset: usize,
+        head: record::RecordHeader,
+    ) -> Result<bool, Fault> {
         if self.kept.get(chunk)?.is_none() {
             return Ok(false);
         }

@@ -221,14 +221,14 @@ fn put_value<'s>(to: &mut Vec<u8>, value: &'s Value, blobs: &mut Vec<(Hash, &'s 
 
 /// The header before a record's content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Head {
+pub(super) struct RecordHeader {
     pub(super) length: usize,
     pub(super) number: u64,
     pub(super) version: u64,
 }
 
 /// The header of the record at the start of `bytes`, checked with its checksum.
-pub(super) fn head(bytes: &[u8]) -> Result<Head, RecordError> {
+pub(super) fn head(bytes: &[u8]) -> Result<RecordHeader, RecordError> {
     let mut cursor = Cursor { rest: bytes };
     let (length, sum) = (cursor.u32()? as usize, cursor.u32()?);
     let (number, version) = (cursor.u64()?, cursor.u64()?);
@@ -236,7 +236,7 @@ pub(super) fn head(bytes: &[u8]) -> Result<Head, RecordError> {
     if crc32fast::hash(content) != sum {
         return Err(RecordError::Checksum { version, number });
     }
-    if length < HEAD { Err(RecordError::Empty) } else { Ok(Head { length, number, version }) }
+    if length < HEAD { Err(RecordError::Empty) } else { Ok(RecordHeader { length, number, version }) }
 }
 
 /// The length that a record states, if another record can follow at that place.
@@ -251,7 +251,7 @@ pub(super) type Blobs<'b> = &'b dyn Fn(&Hash) -> Result<Vec<u8>, RecordError>;
 /// The snapshot of a record whose [`head`] was read.
 pub(super) fn decode(
     id: &EntityId,
-    head: Head,
+    head: RecordHeader,
     bytes: &[u8],
     blobs: Blobs<'_>,
 ) -> Result<Snapshot, RecordError> {
@@ -279,7 +279,7 @@ pub(super) fn is_removal(bytes: &[u8]) -> bool {
 }
 
 /// The blobs that a record refers to.
-pub(super) fn blobs_of(bytes: &[u8], head: Head) -> Result<Vec<Hash>, RecordError> {
+pub(super) fn blobs_of(bytes: &[u8], head: RecordHeader) -> Result<Vec<Hash>, RecordError> {
     let found = std::cell::RefCell::new(Vec::new());
     let note = |hash: &Hash| {
         found.borrow_mut().push(*hash);

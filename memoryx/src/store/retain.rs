@@ -170,7 +170,7 @@ impl Writer<'_> {
     }
 
     /// Whether the index has this record at this place.
-    fn is_at(&self, head: record::Head, place: RecordPlace) -> Result<bool, Fault> {
+    fn is_at(&self, head: record::RecordHeader, place: RecordPlace) -> Result<bool, Fault> {
         let row = self.index.get((head.number, head.version))?;
         Ok(row.is_some_and(|row| (row.value().0, row.value().1) == (place.0, place.1)))
     }
@@ -179,7 +179,7 @@ impl Writer<'_> {
     /// all that are old enough, but for the newest. Returns how many.
     fn forget_old(
         &mut self,
-        head: record::Head,
+        head: record::RecordHeader,
         before: u64,
         most: usize,
         pinned: &Pinned,
@@ -213,7 +213,7 @@ impl Writer<'_> {
     /// Forgets an entity of which only its removal is left, or moves a record that stays.
     fn forget_entity_or_move(
         &mut self,
-        head: record::Head,
+        head: record::RecordHeader,
         record: &[u8],
         pinned: &Pinned,
     ) -> Result<(), Fault> {
@@ -247,7 +247,7 @@ impl Writer<'_> {
     }
 
     /// The records of a chunk that are in the index.
-    fn records_of(&self, chunk: u64) -> Result<Vec<(record::Head, RecordPlace, Vec<u8>)>, Fault> {
+    fn records_of(&self, chunk: u64) -> Result<Vec<(record::RecordHeader, RecordPlace, Vec<u8>)>, Fault> {
         let bytes = self.chunks.get(chunk)?;
         let bytes = bytes.as_ref().map_or(&[][..], |bytes| bytes.value());
         let (mut offset, mut records) = (0, Vec::new());
@@ -292,7 +292,7 @@ impl Writer<'_> {
 /// Passes the records of a chunk to `act`, one after the other.
 pub(super) fn each_record(
     bytes: &[u8],
-    mut act: impl FnMut(record::Head, &[u8]) -> Result<(), Fault>,
+    mut act: impl FnMut(record::RecordHeader, &[u8]) -> Result<(), Fault>,
 ) -> Result<(), Fault> {
     let mut rest = bytes;
     while !rest.is_empty() {

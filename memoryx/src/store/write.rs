@@ -216,7 +216,7 @@ impl<'t> Writer<'t> {
     }
 
     /// Moves a record to the end.
-    pub(super) fn move_record(&mut self, record: &[u8], head: record::Head) -> Result<(), Fault> {
+    pub(super) fn move_record(&mut self, record: &[u8], head: record::RecordHeader) -> Result<(), Fault> {
         self.make_room(record.len())?;
         self.open.extend_from_slice(record);
         let (referenced_ns, arrived_ns) = record::times(record)?;
@@ -271,7 +271,7 @@ impl<'t> Writer<'t> {
     }
 
     /// Removes a record, and the blobs that no other record refers to.
-    pub(super) fn forget(&mut self, bytes: &[u8], head: record::Head) -> Result<(), Fault> {
+    pub(super) fn forget(&mut self, bytes: &[u8], head: record::RecordHeader) -> Result<(), Fault> {
         self.index.remove((head.number, head.version))?;
         self.totals.snapshots = self.totals.snapshots.saturating_sub(1);
         for hash in record::blobs_of(bytes, head)? {
@@ -288,7 +288,7 @@ impl<'t> Writer<'t> {
     }
 
     /// Removes an entity whose only record is its removal, with that record. Returns false if its key is not known.
-    pub(super) fn forget_entity(&mut self, bytes: &[u8], head: record::Head) -> Result<bool, Fault> {
+    pub(super) fn forget_entity(&mut self, bytes: &[u8], head: record::RecordHeader) -> Result<bool, Fault> {
         let Some(key) = self.removed.remove(head.number)?.map(|key| key.value().to_vec()) else {
             return Ok(false);
         };

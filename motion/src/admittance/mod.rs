@@ -134,9 +134,9 @@ impl Admittance {
         let c = &self.config;
         let damping = (c.damping + c.lag * self.stiffness.value()).min(c.most_damping);
         let (linear, angular) = parts(&self.twist);
-        let linear = Body { mass: c.mass, damping, friction: c.friction, fastest: c.max_linear }
+        let linear = FreeBody { mass: c.mass, damping, friction: c.friction, fastest: c.max_linear }
             .moved_by(&force, &linear, dt);
-        let angular = Body {
+        let angular = FreeBody {
             mass: c.inertia,
             damping: c.turning_damping,
             friction: c.turning_friction,
@@ -179,14 +179,14 @@ impl Admittance {
 }
 
 /// A free body with damping and dry friction; mass and force may as well be inertia and torque.
-struct Body {
+struct FreeBody {
     mass: f64,
     damping: f64,
     friction: f64,
     fastest: f64,
 }
 
-impl Body {
+impl FreeBody {
     /// The velocity after `dt`, by the implicit step of the module.
     fn moved_by(&self, force: &Vector3<f64>, velocity: &Vector3<f64>, dt: f64) -> Vector3<f64> {
         let pushed = velocity + force * (dt / self.mass);

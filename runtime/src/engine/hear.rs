@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use armarium_values::Value;
 
 use super::event::{Event, Origin};
-use super::state::{SkillRun, StateStatus, Step, Timer, TimerUse, Turn};
+use super::state::{Microstep, SkillRun, StateStatus, Timer, TimerUse, Turn};
 use super::{Effect, Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
 use crate::program::{AFTER, Kind, RETRY, StateId};
 use crate::skill::{Failure, Outcome, SkillResult};
@@ -140,7 +140,7 @@ impl Engine {
     }
 
     pub(super) fn stop(&mut self, outcome: &str, reason: String, turn: &mut Turn<'_>) {
-        let running = self.pending.as_ref().is_some_and(|p| matches!(p.step, Step::Finish { .. }));
+        let running = self.pending.as_ref().is_some_and(|p| matches!(p.step, Microstep::Finish { .. }));
         if !running {
             self.finish_with(outcome.to_owned(), Some(reason), Vec::new(), turn);
         }

@@ -1,7 +1,7 @@
 //! Unbreakable states hold back transitions that would leave them from outside, until they have ended.
 
 use super::event::{Event, Origin};
-use super::state::{Step, Turn};
+use super::state::{Microstep, Turn};
 use super::{Engine, MAX_HELD, TraceItem};
 use crate::program::{ERROR_QUEUE, Program, StateId};
 
@@ -13,13 +13,13 @@ impl Engine {
 
     /// Begins the part of a step that may begin. If a transition would leave an unbreakable state, it is held
     /// together with its event. Transitions for the same event in other regions are not held.
-    pub(super) fn begin_unless_held(&mut self, step: Step, turn: &mut Turn<'_>) {
+    pub(super) fn begin_unless_held(&mut self, step: Microstep, turn: &mut Turn<'_>) {
         if self.unbreakable == 0 {
             return self.begin(step, turn);
         }
         let program = turn.program;
         match step {
-            Step::Take(transitions) => {
+            Microstep::Take(transitions) => {
                 let (held, free): (Vec<u32>, Vec<u32>) =
                     transitions.into_iter().partition(|t| self.holder(*t, program).is_some());
                 if let Some(first) = held.first().copied() {
@@ -27,14 +27,14 @@ impl Engine {
                     self.hold_current(holder, program.transitions[first as usize].source, &free, turn);
                 }
                 if !free.is_empty() {
-                    self.begin(Step::Take(free), turn);
+                    self.begin(Microstep::Take(free), turn);
                 }
             }
-            Step::Restart(state) => match self.unbreakable_inside(state, state, program) {
+            Microstep::Restart(state) => match self.unbreakable_inside(state, state, program) {
                 Some(holder) => self.hold_current(holder, state, &[], turn),
                 None => self.begin(step, turn),
             },
-            Step::Finish { .. } => self.begin(step, turn),
+            Microstep::Finish { .. } => self.begin(step, turn),
         }
     }
 

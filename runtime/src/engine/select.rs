@@ -4,7 +4,7 @@
 use armarium_values::Value;
 
 use super::event::{Event, Origin};
-use super::state::{RunContext, Step, Turn};
+use super::state::{Microstep, RunContext, Turn};
 use super::{Engine, TraceItem};
 use crate::program::{EventNumber, FAILURE, Pattern, Program, StateId};
 
@@ -46,12 +46,12 @@ impl Engine {
                     self.enabled = taken;
                     self.unhandled(origin, turn);
                 } else {
-                    self.begin_unless_held(Step::Take(taken), turn);
+                    self.begin_unless_held(Microstep::Take(taken), turn);
                 }
             }
             Origin::After { transition, .. } => {
                 if self.guard(transition, turn) {
-                    self.begin_unless_held(Step::Take(vec![transition]), turn);
+                    self.begin_unless_held(Microstep::Take(vec![transition]), turn);
                 }
             }
             Origin::Outcome { state, .. } | Origin::Watch { state, .. } => {
@@ -87,7 +87,7 @@ impl Engine {
         origin: Origin,
         from: StateId,
         turn: &mut Turn<'_>,
-    ) -> Option<Step> {
+    ) -> Option<Microstep> {
         let failure = number == FAILURE && matches!(origin, Origin::Outcome { .. });
         // The end of a region is not offered to the states around it: the parallel state ends when all its regions
         // have ended. Only a failure that did not come from a final state of the region goes outward.
@@ -98,11 +98,11 @@ impl Engine {
         let program = turn.program;
         for state in program.outward(from) {
             if failure && self.retry_left(state, program) {
-                return Some(Step::Restart(state));
+                return Some(Microstep::Restart(state));
             }
             for (_, t) in program.tables.exact(state, number) {
                 if self.guard(*t, turn) {
-                    return Some(Step::Take(vec![*t]));
+                    return Some(Microstep::Take(vec![*t]));
                 }
             }
             if own_only {
@@ -173,7 +173,7 @@ impl Engine {
             self.enabled = taken;
             return false;
         }
-        self.begin(Step::Take(taken), turn);
+        self.begin(Microstep::Take(taken), turn);
         true
     }
 

@@ -75,7 +75,7 @@ pub(super) enum TimerUse {
 
 /// A microstep; it is carried out once all skills that it leaves have returned.
 #[derive(Clone, Debug)]
-pub(super) enum Step {
+pub(super) enum Microstep {
     Take(Vec<u32>),
     /// Restarts the inside of a state.
     Restart(StateId),
@@ -88,7 +88,7 @@ pub(super) enum Step {
 
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
-    pub(super) step: Step,
+    pub(super) step: Microstep,
     /// States to leave, in the file's order.
     pub(super) exits: Vec<StateId>,
     /// Skills that have not returned yet.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use super::enter::Entries;
-use super::state::{Pending, SkillRun, Step, Turn};
+use super::state::{Microstep, Pending, SkillRun, Turn};
 use super::{Effect, Engine, TraceItem};
 use crate::program::{Kind, Pattern, Program, StateId};
 
@@ -26,12 +26,12 @@ pub(super) fn duration(seconds: f64) -> Duration {
 
 impl Engine {
     /// Begins a microstep: cancels the skills of all states that it leaves. Completes it at once if there are none.
-    pub(super) fn begin(&mut self, step: Step, turn: &mut Turn<'_>) {
+    pub(super) fn begin(&mut self, step: Microstep, turn: &mut Turn<'_>) {
         if turn.tracing {
             self.trace_transitions(&step, turn);
         }
         if self.near_a_bound()
-            && let Step::Take(transitions) = &step
+            && let Microstep::Take(transitions) = &step
         {
             transitions.iter().for_each(|t| self.circle.note(turn.program.tables.jump(*t).source));
         }
@@ -51,8 +51,8 @@ impl Engine {
         self.pending = Some(Pending { step, exits, waiting });
     }
 
-    fn trace_transitions(&self, step: &Step, turn: &mut Turn<'_>) {
-        let Step::Take(transitions) = step else { return };
+    fn trace_transitions(&self, step: &Microstep, turn: &mut Turn<'_>) {
+        let Microstep::Take(transitions) = step else { return };
         for t in transitions {
             let event = self.store.event.as_ref().map(|e| e.name(turn.program).to_owned());
             turn.trace(|p| {
@@ -80,7 +80,7 @@ impl Engine {
         self.ended_in = self.leaves();
         // The pending microstep is dropped. Its cancelled skills are still waited for, as their states are active.
         self.pending = None;
-        self.begin(Step::Finish { outcome, reason, chain }, turn);
+        self.begin(Microstep::Finish { outcome, reason, chain }, turn);
     }
 
     /// The state inside which a transition leaves and enters states.
@@ -102,7 +102,7 @@ impl Engine {
         (from, from + self.configuration[from..].partition_point(|s| *s <= last))
     }
 
-    fn exits(&mut self, step: &Step, program: &Program) -> Vec<StateId> {
+    fn exits(&mut self, step: &Microstep, program: &Program) -> Vec<StateId> {
         let mut exits = std::mem::take(&mut self.exits);
         exits.clear();
         let mut add = |domain: StateId| {
@@ -110,9 +110,9 @@ impl Engine {
             exits.extend_from_slice(&self.configuration[from..to]);
         };
         match step {
-            Step::Finish { .. } => exits.extend_from_slice(&self.configuration),
-            Step::Restart(state) => add(*state),
-            Step::Take(transitions) => {
+            Microstep::Finish { .. } => exits.extend_from_slice(&self.configuration),
+            Microstep::Restart(state) => add(*state),
+            Microstep::Take(transitions) => {
                 transitions.iter().filter_map(|t| self.domain(*t, program)).for_each(&mut add);
                 if transitions.len() > 1 {
                     exits.sort_unstable();
@@ -162,16 +162,16 @@ impl Engine {
         }
     }
 
-    fn complete(&mut self, step: Step, exits: Vec<StateId>, turn: &mut Turn<'_>) {
+    fn complete(&mut self, step: Microstep, exits: Vec<StateId>, turn: &mut Turn<'_>) {
         self.leave(&exits, turn);
         self.exits = exits;
         match step {
-            Step::Take(transitions) => {
+            Microstep::Take(transitions) => {
                 self.take(&transitions, turn);
                 self.enabled = transitions;
             }
-            Step::Restart(state) => self.restart(state, turn),
-            Step::Finish { outcome, reason, chain } => self.finish(outcome, reason, chain, turn),
+            Microstep::Restart(state) => self.restart(state, turn),
+            Microstep::Finish { outcome, reason, chain } => self.finish(outcome, reason, chain, turn),
         }
     }
 

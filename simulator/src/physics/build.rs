@@ -7,7 +7,7 @@ use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
 use super::assembly::{Assembly, Lump, joint_motion};
 use super::convert;
-use super::drives::{Body, Servo};
+use super::drives::{LumpBody, Servo};
 use super::mass::Mass;
 use super::plant::{DT, Object, PAD_FRICTION};
 use crate::error::PlantError;
@@ -207,7 +207,7 @@ pub(super) struct RobotBodies {
     /// What is fixed to the room.
     pub(super) base: RigidBodyHandle,
     /// A body for each lump.
-    pub(super) bodies: Vec<Body>,
+    pub(super) bodies: Vec<LumpBody>,
     /// The collision shapes of the links that touch.
     pub(super) colliders: Vec<(LinkId, ColliderHandle)>,
 }
@@ -236,7 +236,7 @@ pub(super) fn add_robot(
     (position, velocity): (&[f64], &[f64]),
 ) -> Result<RobotBodies, PlantError> {
     let base = physics.insert_body(rapier::RigidBodyBuilder::fixed().pose(convert::pose(room_from_root)));
-    let mut bodies: Vec<Body> = Vec::new();
+    let mut bodies: Vec<LumpBody> = Vec::new();
     let mut poses: Vec<Isometry3<f64>> = Vec::new();
     for lump in &assembly.lumps {
         let q = lump.multiplier * position[lump.joint] + lump.offset;
@@ -249,7 +249,7 @@ pub(super) fn add_robot(
             .multibody_joints
             .insert(parent, handle, joint_of(lump, &at_start), true)
             .ok_or_else(|| PlantError::Joint { joint: model.joints()[lump.joint].name.clone() })?;
-        bodies.push(Body {
+        bodies.push(LumpBody {
             handle,
             joint,
             index: lump.joint,
@@ -318,7 +318,7 @@ fn servo(lump: &Lump, effort: f64, errors: &RobotErrors) -> Servo {
 
 /// Sets the motors' reflected inertia, kg m^2 (kg), and the joints' velocities, and removes Rapier's own damping, as the
 /// servo has its own.
-fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
+fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[LumpBody]) {
     for body in bodies {
         let Some((multibody, id)) = physics.multibody_joints.get_mut(body.joint) else { continue };
         let Some(dof) = multibody.links().take(id).map(|l| l.joint.ndofs()).reduce(|a, b| a + b) else {

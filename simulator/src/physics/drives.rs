@@ -28,7 +28,7 @@ const SLIDING: f64 = 0.02;
 
 /// A lump's body.
 #[derive(Clone, Debug)]
-pub(super) struct Body {
+pub(super) struct LumpBody {
     pub(super) handle: RigidBodyHandle,
     pub(super) joint: MultibodyJointHandle,
     /// Index of the joint in the model.
@@ -94,7 +94,7 @@ impl LightJoint {
 
 /// All joints of the model: those with bodies, the light ones, and those that stand still.
 pub(super) struct Joints {
-    pub(super) bodies: Vec<Body>,
+    pub(super) bodies: Vec<LumpBody>,
     light: Vec<LightJoint>,
     /// True positions, rad or m, in the model's order.
     pub(super) position: Vec<f64>,
@@ -106,7 +106,7 @@ pub(super) struct Joints {
 
 impl Joints {
     /// The joints at rest in the posture `start`. What belongs to none of the `heavy` joints is light.
-    pub(super) fn new(model: &Arc<Model>, bodies: Vec<Body>, heavy: &[usize], start: &[f64]) -> Self {
+    pub(super) fn new(model: &Arc<Model>, bodies: Vec<LumpBody>, heavy: &[usize], start: &[f64]) -> Self {
         let mut kinematics = Kinematics::new(model);
         kinematics.update(start);
         let light = (0..model.joints().len()).filter(|joint| !heavy.contains(joint));
@@ -116,7 +116,7 @@ impl Joints {
     }
 
     /// Goes on with other bodies; joints that have none any more stand still.
-    pub(super) fn replace(&mut self, mut bodies: Vec<Body>) {
+    pub(super) fn replace(&mut self, mut bodies: Vec<LumpBody>) {
         for body in &self.bodies {
             self.velocity[body.index] = 0.0;
         }

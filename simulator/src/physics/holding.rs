@@ -1,5 +1,6 @@
 //! What hands hold by their soft pads and their soft grips: the forces in each step, and what two hands do to one body.
 
+use armarium_values::distance_from_box;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::RigidBodyHandle;
@@ -44,7 +45,7 @@ impl Plant {
             let face = tcp.pose * padded.mounted.middle;
             let far = |object: &Object| {
                 let at = convert::to_pose(physics.bodies[object.handle].position());
-                object.cuboid.map(|half| from_box(&face, &at, &half))
+                object.cuboid.map(|half| distance_from_box(&face, &at, &(2.0 * half)))
             };
             let boxes = objects.iter().enumerate().filter_map(|(i, object)| Some((i, far(object)?)));
             let Some((nearest, _)) = boxes.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
@@ -123,11 +124,6 @@ fn apply_between(
     }
 }
 
-/// How far a point is from a box of these half edges, m.
-fn from_box(point: &Point3<f64>, at: &Isometry3<f64>, half: &Vector3<f64>) -> f64 {
-    (at.inverse_transform_point(point).coords.abs() - half).sup(&Vector3::zeros()).norm()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -137,11 +133,11 @@ mod tests {
         let face = Point3::new(0.15, 0.46, 1.17);
         let wide = (Isometry3::translation(-0.1, 0.46, 1.17), Vector3::new(0.25, 0.1, 0.1));
         let low = (Isometry3::translation(0.0, 0.48, 0.99), Vector3::new(0.05, 0.08, 0.02));
-        assert_eq!(from_box(&face, &wide.0, &wide.1), 0.0);
+        assert_eq!(distance_from_box(&face, &wide.0, &(2.0 * wide.1)), 0.0);
         assert!(
             (face - wide.0.translation.vector).coords.norm()
                 > (face - low.0.translation.vector).coords.norm()
         );
-        assert!(from_box(&face, &low.0, &low.1) > 0.15);
+        assert!(distance_from_box(&face, &low.0, &(2.0 * low.1)) > 0.15);
     }
 }

@@ -3,7 +3,7 @@
 use cel::IdedExpr;
 use cel::common::ast::{CallExpr, EntryExpr, Expr as Cel, LiteralValue, SelectExpr, SourceInfo};
 
-use super::eval::{Macro, Node, Pos};
+use super::eval::{ExprNode, Macro, Pos};
 use super::functions::{Function, TABLE, Takes, foreign_function};
 use super::typing::{arithmetic, article, comparison, comprehension, dotted, is_text, join, mismatch};
 use super::{
@@ -107,7 +107,7 @@ pub(super) struct Checker<'a> {
     depth: usize,
 }
 
-pub(super) type Checked = Result<(Node, Type), ExprError>;
+pub(super) type Checked = Result<(ExprNode, Type), ExprError>;
 
 impl Checker<'_> {
     fn span(&self, id: u64) -> (usize, usize) {
@@ -188,7 +188,7 @@ impl Checker<'_> {
                 let items = list.elements.iter().map(|e| self.check(e)).collect::<Result<Vec<_>, _>>()?;
                 let element = items.iter().map(|(_, ty)| ty.clone()).reduce(|a, b| join(&a, &b));
                 let ty = Type::list(element.unwrap_or(Type::Any));
-                Ok((Node::List(items.into_iter().map(|(node, _)| node).collect()), ty))
+                Ok((ExprNode::List(items.into_iter().map(|(node, _)| node).collect()), ty))
             }
             Cel::Map(map) => {
                 let mut entries = Vec::new();
@@ -201,7 +201,7 @@ impl Checker<'_> {
                     element = Some(element.map_or(ty.clone(), |e| join(&e, &ty)));
                     entries.push((key, value));
                 }
-                Ok((Node::Record(entries, self.pos(expr.id)), Type::map(element.unwrap_or(Type::Any))))
+                Ok((ExprNode::Record(entries, self.pos(expr.id)), Type::map(element.unwrap_or(Type::Any))))
             }
             Cel::Struct(_) | Cel::Comprehension(_) | Cel::Unspecified => {
                 Err(self.error(expr.id, Kind::Syntax, "this form of CEL is not supported here"))
@@ -211,18 +211,18 @@ impl Checker<'_> {
 
     fn literal(&self, id: u64, literal: &LiteralValue) -> Checked {
         Ok(match literal {
-            LiteralValue::Boolean(b) => (Node::Bool(*b.inner()), Type::Bool),
-            LiteralValue::Int(i) => (Node::Int(*i.inner()), Type::Int),
+            LiteralValue::Boolean(b) => (ExprNode::Bool(*b.inner()), Type::Bool),
+            LiteralValue::Int(i) => (ExprNode::Int(*i.inner()), Type::Int),
             LiteralValue::UInt(u) => {
                 let i = i64::try_from(*u.inner())
                     .map_err(|_| self.error(id, Kind::Type, "the number is out of range"))?;
-                (Node::Int(i), Type::Int)
+                (ExprNode::Int(i), Type::Int)
             }
-            LiteralValue::Double(f) => (Node::Float(*f.inner()), Type::FLOAT),
+            LiteralValue::Double(f) => (ExprNode::Float(*f.inner()), Type::FLOAT),
             LiteralValue::String(s) => {
-                (Node::Text(s.inner().to_owned()), Type::Enum(vec![s.inner().to_owned()]))
+                (ExprNode::Text(s.inner().to_owned()), Type::Enum(vec![s.inner().to_owned()]))
             }
-            LiteralValue::Null => (Node::Null, Type::Any),
+            LiteralValue::Null => (ExprNode::Null, Type::Any),
             LiteralValue::Bytes(_) => {
                 return Err(self.error(id, Kind::Syntax, "byte strings are not supported here"));
             }
@@ -239,7 +239,7 @@ impl Checker<'_> {
         };
         let bound = self.bound.iter().rev().position(|(name, _)| name == names[0]);
         let (mut node, mut ty, used) = if let Some(depth) = bound {
-            (Node::Bound(depth), self.bound[self.bound.len() - 1 - depth].1.clone(), 1)
+            (ExprNode::Bound(depth), self.bound[self.bound.len() - 1 - depth].1.clone(), 1)
         } else {
             let found = self.environment.variable(&names);
             let variable = found.map_err(|mut e| {
@@ -260,11 +260,11 @@ impl Checker<'_> {
         for (name, id) in names.iter().zip(&ids).skip(used) {
             ty = self.field_type(*id, &ty, name)?;
             node = match node {
-                Node::Channel(channel, mut path, pos) => {
+                ExprNode::Channel(channel, mut path, pos) => {
                     path.push((*name).to_owned());
-                    Node::Channel(channel, path, Pos { end: self.pos(*id).end, ..pos })
+                    ExprNode::Channel(channel, path, Pos { end: self.pos(*id).end, ..pos })
                 }
-                node => Node::Field(Box::new(node), (*name).to_owned(), self.range_pos(expr, *id)),
+                node => ExprNode::Field(Box::new(node), (*name).to_owned(), self.range_pos(expr, *id)),
             };
         }
         Ok((node, ty))
@@ -305,24 +305,24 @@ impl Checker<'_> {
         Pos { start: u16::try_from(start).unwrap_or(0), end: u16::try_from(end).unwrap_or(0) }
     }
 
-    fn read(&mut self, slot: Slot, pos: Pos) -> Node {
+    fn read(&mut self, slot: Slot, pos: Pos) -> ExprNode {
         match slot {
             Slot::Data(n) => {
                 self.reads.data = true;
                 self.reads.slots.push(n);
-                Node::Data(n, pos)
+                ExprNode::Data(n, pos)
             }
             Slot::Channel(n) => {
                 self.reads.channels.push(n);
-                Node::Channel(n, Vec::new(), pos)
+                ExprNode::Channel(n, Vec::new(), pos)
             }
             Slot::EventName => {
                 self.reads.event = true;
-                Node::EventName
+                ExprNode::EventName
             }
             Slot::EventData => {
                 self.reads.event = true;
-                Node::EventData
+                ExprNode::EventData
             }
         }
     }
@@ -330,7 +330,7 @@ impl Checker<'_> {
     fn select(&mut self, id: u64, select: &SelectExpr) -> Checked {
         let (node, ty) = self.check(&select.operand)?;
         let ty = self.field_type(id, &ty, &select.field)?;
-        Ok((Node::Field(Box::new(node), select.field.clone(), self.pos(id)), ty))
+        Ok((ExprNode::Field(Box::new(node), select.field.clone(), self.pos(id)), ty))
     }
 
     fn field_type(&self, id: u64, of: &Type, name: &str) -> Result<Type, ExprError> {
@@ -378,27 +378,27 @@ impl Checker<'_> {
         }
         let args: Vec<&IdedExpr> = call.args.iter().collect();
         match (name, args.as_slice()) {
-            ("_&&_", [_, ..]) => self.logic(id, &args, Node::And),
-            ("_||_", [_, ..]) => self.logic(id, &args, Node::Or),
+            ("_&&_", [_, ..]) => self.logic(id, &args, ExprNode::And),
+            ("_||_", [_, ..]) => self.logic(id, &args, ExprNode::Or),
             ("!_", [of]) => {
                 let (node, ty) = self.check(of)?;
                 self.want(of.id, &Type::Bool, &ty).map_err(|error| {
                     let help = "`!` turns a condition round; a number or a text is compared, as in `a == 0`";
                     ExprError { help: Some(help.to_owned()), ..error }
                 })?;
-                Ok((Node::Not(Box::new(node), self.pos(id)), Type::Bool))
+                Ok((ExprNode::Not(Box::new(node), self.pos(id)), Type::Bool))
             }
             ("-_", [of]) => {
                 let (node, ty) = self.check(of)?;
                 let ty = self.number(of.id, &ty)?;
-                Ok((Node::Negate(Box::new(node), self.pos(id)), ty))
+                Ok((ExprNode::Negate(Box::new(node), self.pos(id)), ty))
             }
             ("_?_:_", [condition, then, otherwise]) => {
                 let (condition_node, ty) = self.check(condition)?;
                 self.want(condition.id, &Type::Bool, &ty)?;
                 let ((a, ta), (b, tb)) = (self.check(then)?, self.check(otherwise)?);
                 let parts = Box::new((condition_node, a, b));
-                Ok((Node::Choose(parts, self.pos(id)), join(&ta, &tb)))
+                Ok((ExprNode::Choose(parts, self.pos(id)), join(&ta, &tb)))
             }
             ("_[_]", [of, key]) => self.index(id, of, key),
             ("@in", [item, of]) => {
@@ -411,7 +411,7 @@ impl Checker<'_> {
                         return Err(self.error(id, Kind::Type, format!("{} has no items", article(other))));
                     }
                 }
-                Ok((Node::In(Box::new((a, b)), self.pos(id)), Type::Bool))
+                Ok((ExprNode::In(Box::new((a, b)), self.pos(id)), Type::Bool))
             }
             (_, [a, b]) if arithmetic(name).is_some() || comparison(name).is_some() => {
                 self.binary(id, name, a, b)
@@ -425,7 +425,7 @@ impl Checker<'_> {
                 self.function_found(id, name);
                 self.reads.channels.push(channel);
                 self.reads.age = true;
-                Ok((Node::Age(channel, self.pos(id)), Type::quantity(Unit::S)))
+                Ok((ExprNode::Age(channel, self.pos(id)), Type::quantity(Unit::S)))
             }
             ("active", [state]) => {
                 let text = self.text(state)?;
@@ -435,14 +435,14 @@ impl Checker<'_> {
                 self.environment.found(Found::State { path: text, place });
                 self.function_found(id, name);
                 self.reads.data = true;
-                Ok((Node::Active(number), Type::Bool))
+                Ok((ExprNode::Active(number), Type::Bool))
             }
             ("has", [of]) => {
                 let Cel::Select(select) = &of.expr else {
                     return Err(self.error(of.id, Kind::Type, "`has` takes a field, as in `has(a.b)`"));
                 };
                 let (node, _) = self.check(&select.operand)?;
-                Ok((Node::Has(Box::new(node), select.field.clone()), Type::Bool))
+                Ok((ExprNode::Has(Box::new(node), select.field.clone()), Type::Bool))
             }
             _ => self.function(id, name, &args),
         }
@@ -461,8 +461,13 @@ impl Checker<'_> {
         }
     }
 
-    fn logic(&mut self, id: u64, args: &[&IdedExpr], make: fn(Box<(Node, Node)>, Pos) -> Node) -> Checked {
-        let mut joined: Option<Node> = None;
+    fn logic(
+        &mut self,
+        id: u64,
+        args: &[&IdedExpr],
+        make: fn(Box<(ExprNode, ExprNode)>, Pos) -> ExprNode,
+    ) -> Checked {
+        let mut joined: Option<ExprNode> = None;
         for arg in args {
             let (node, ty) = self.check(arg)?;
             self.want(arg.id, &Type::Bool, &ty)?;
@@ -471,7 +476,7 @@ impl Checker<'_> {
                 Some(before) => make(Box::new((before, node)), self.pos(id)),
             });
         }
-        Ok((joined.unwrap_or(Node::Bool(true)), Type::Bool))
+        Ok((joined.unwrap_or(ExprNode::Bool(true)), Type::Bool))
     }
 
     fn index(&mut self, id: u64, of: &IdedExpr, key: &IdedExpr) -> Checked {
@@ -492,7 +497,7 @@ impl Checker<'_> {
             Type::Any | Type::Record(_) => Type::Any,
             other => return Err(self.error(id, Kind::Type, format!("{} has no items", article(other)))),
         };
-        Ok((Node::Index(Box::new((x, k)), self.pos(id)), result))
+        Ok((ExprNode::Index(Box::new((x, k)), self.pos(id)), result))
     }
 
     fn comprehend(&mut self, id: u64, kind: Macro, range: &IdedExpr, args: &[IdedExpr]) -> Checked {
@@ -525,7 +530,7 @@ impl Checker<'_> {
                 Type::Bool
             }
         };
-        Ok((Node::Macro(kind, Box::new((range_node, body_node)), self.pos(id)), result))
+        Ok((ExprNode::Macro(kind, Box::new((range_node, body_node)), self.pos(id)), result))
     }
 
     fn function_found(&self, id: u64, name: &str) {
@@ -563,7 +568,7 @@ impl Checker<'_> {
                 self.same_unit(id, &types[0], ty)?;
             }
         }
-        Ok((Node::Call(*function, nodes, self.pos(id)), function.result(&types)))
+        Ok((ExprNode::Call(*function, nodes, self.pos(id)), function.result(&types)))
     }
 
     fn argument(&self, id: u64, function: Function, ty: &Type) -> Result<(), ExprError> {

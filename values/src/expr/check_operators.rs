@@ -3,7 +3,7 @@
 use cel::IdedExpr;
 
 use super::check::{Checked, Checker};
-use super::eval::Node;
+use super::eval::ExprNode;
 use super::operate::{Arithmetic, Comparison};
 use super::typing::{arithmetic, article, comparison, is_text, join};
 use super::{ExprError, ExprErrorKind as Kind, nearest};
@@ -29,11 +29,11 @@ impl Checker<'_> {
                 let (tx, ty) = (self.number(a.id, &tx)?, self.number(b.id, &ty)?);
                 self.same_unit(id, &tx, &ty)?;
             }
-            return Ok((Node::Compare(op, Box::new((x, y)), pos), Type::Bool));
+            return Ok((ExprNode::Compare(op, Box::new((x, y)), pos), Type::Bool));
         }
         let op = arithmetic(name).unwrap_or(Arithmetic::Add);
         let result = self.arithmetic_type(id, op, (a.id, &tx), (b.id, &ty))?;
-        Ok((Node::Arithmetic(op, Box::new((x, y)), pos), result))
+        Ok((ExprNode::Arithmetic(op, Box::new((x, y)), pos), result))
     }
 
     fn arithmetic_type(

@@ -83,7 +83,7 @@ pub(super) enum Macro {
 
 /// A node of the tree.
 #[derive(Clone, Debug)]
-pub(super) enum Node {
+pub(super) enum ExprNode {
     Null,
     Bool(bool),
     Int(i64),
@@ -97,24 +97,24 @@ pub(super) enum Node {
     Bound(usize),
     Age(u32, Pos),
     Active(u32),
-    Field(Box<Node>, String, Pos),
-    Has(Box<Node>, String),
-    Index(Box<(Node, Node)>, Pos),
-    Not(Box<Node>, Pos),
-    Negate(Box<Node>, Pos),
-    And(Box<(Node, Node)>, Pos),
-    Or(Box<(Node, Node)>, Pos),
-    Choose(Box<(Node, Node, Node)>, Pos),
-    Compare(Comparison, Box<(Node, Node)>, Pos),
-    Arithmetic(Arithmetic, Box<(Node, Node)>, Pos),
-    In(Box<(Node, Node)>, Pos),
-    Call(Function, Vec<Node>, Pos),
-    List(Vec<Node>),
-    Record(Vec<(Node, Node)>, Pos),
-    Macro(Macro, Box<(Node, Node)>, Pos),
+    Field(Box<ExprNode>, String, Pos),
+    Has(Box<ExprNode>, String),
+    Index(Box<(ExprNode, ExprNode)>, Pos),
+    Not(Box<ExprNode>, Pos),
+    Negate(Box<ExprNode>, Pos),
+    And(Box<(ExprNode, ExprNode)>, Pos),
+    Or(Box<(ExprNode, ExprNode)>, Pos),
+    Choose(Box<(ExprNode, ExprNode, ExprNode)>, Pos),
+    Compare(Comparison, Box<(ExprNode, ExprNode)>, Pos),
+    Arithmetic(Arithmetic, Box<(ExprNode, ExprNode)>, Pos),
+    In(Box<(ExprNode, ExprNode)>, Pos),
+    Call(Function, Vec<ExprNode>, Pos),
+    List(Vec<ExprNode>),
+    Record(Vec<(ExprNode, ExprNode)>, Pos),
+    Macro(Macro, Box<(ExprNode, ExprNode)>, Pos),
 }
 
-impl Node {
+impl ExprNode {
     /// See [`Expr::wanted_text`](super::Expr::wanted_text).
     pub(super) fn wanted_text(&self, slot: u32) -> Option<&str> {
         match self {
@@ -224,11 +224,11 @@ struct Evaluation<'v, C: ?Sized> {
 
 type Result<T> = std::result::Result<T, EvalError>;
 
-pub(super) fn evaluate<C: EvalContext + ?Sized>(node: &Node, context: &C) -> Result<Value> {
+pub(super) fn evaluate<C: EvalContext + ?Sized>(node: &ExprNode, context: &C) -> Result<Value> {
     Evaluation::new(context, false).value(node, None).map(Val::into_value)
 }
 
-pub(super) fn test<C: EvalContext + ?Sized>(node: &Node, context: &C, observing: bool) -> Result<bool> {
+pub(super) fn test<C: EvalContext + ?Sized>(node: &ExprNode, context: &C, observing: bool) -> Result<bool> {
     Evaluation::new(context, observing).truth(node, None, Pos::default())
 }
 
@@ -254,73 +254,75 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
         Ok(value.into_value())
     }
 
-    fn truth(&self, node: &Node, frame: Option<&Frame<'_>>, pos: Pos) -> Result<bool> {
+    fn truth(&self, node: &ExprNode, frame: Option<&Frame<'_>>, pos: Pos) -> Result<bool> {
         match self.value(node, frame)? {
             Val::Bool(b) => Ok(b),
             other => Err(pos.error(format!("expected a bool, found {}", other.describe()))),
         }
     }
 
-    fn value<'v>(&'v self, node: &'v Node, frame: Option<&'v Frame<'v>>) -> Result<Val<'v>> {
+    fn value<'v>(&'v self, node: &'v ExprNode, frame: Option<&'v Frame<'v>>) -> Result<Val<'v>> {
         match node {
-            Node::Null => Ok(Val::Null),
-            Node::Bool(b) => Ok(Val::Bool(*b)),
-            Node::Int(i) => Ok(Val::Int(*i)),
-            Node::Float(f) => Ok(Val::Float(*f)),
-            Node::Text(s) => Ok(Val::Str(s)),
-            Node::Data(slot, pos) => {
+            ExprNode::Null => Ok(Val::Null),
+            ExprNode::Bool(b) => Ok(Val::Bool(*b)),
+            ExprNode::Int(i) => Ok(Val::Int(*i)),
+            ExprNode::Float(f) => Ok(Val::Float(*f)),
+            ExprNode::Text(s) => Ok(Val::Str(s)),
+            ExprNode::Data(slot, pos) => {
                 self.context.data(*slot).map(Val::of).ok_or_else(|| pos.error("this has no value yet"))
             }
-            Node::Channel(channel, path, pos) => self.channel(*channel, path, *pos),
-            Node::EventName => Ok(self.context.event_name().map_or(Val::Str(""), Val::Str)),
-            Node::EventData => Ok(self.context.event_data().map_or(Val::Null, Val::of)),
-            Node::Bound(depth) => Ok(bound(frame, *depth)),
-            Node::Age(channel, pos) => {
+            ExprNode::Channel(channel, path, pos) => self.channel(*channel, path, *pos),
+            ExprNode::EventName => Ok(self.context.event_name().map_or(Val::Str(""), Val::Str)),
+            ExprNode::EventData => Ok(self.context.event_data().map_or(Val::Null, Val::of)),
+            ExprNode::Bound(depth) => Ok(bound(frame, *depth)),
+            ExprNode::Age(channel, pos) => {
                 let age = self.context.age(*channel).map(Val::Float);
                 age.ok_or_else(|| pos.absent("nothing has been published here yet"))
             }
-            Node::Active(state) => Ok(Val::Bool(self.context.active(*state))),
-            Node::Field(of, name, pos) => field(self.value(of, frame)?, name, *pos),
-            Node::Has(of, name) => Ok(Val::Bool(match self.value(of, frame) {
+            ExprNode::Active(state) => Ok(Val::Bool(self.context.active(*state))),
+            ExprNode::Field(of, name, pos) => field(self.value(of, frame)?, name, *pos),
+            ExprNode::Has(of, name) => Ok(Val::Bool(match self.value(of, frame) {
                 Ok(value) => field(value, name, Pos::default()).is_ok(),
                 Err(_) => false,
             })),
-            Node::Index(pair, pos) => index(self.value(&pair.0, frame)?, &self.value(&pair.1, frame)?, *pos),
-            Node::Not(of, pos) => Ok(Val::Bool(!self.truth(of, frame, *pos)?)),
-            Node::Negate(of, pos) => negate(&self.value(of, frame)?, *pos),
-            Node::And(pair, pos) => {
+            ExprNode::Index(pair, pos) => {
+                index(self.value(&pair.0, frame)?, &self.value(&pair.1, frame)?, *pos)
+            }
+            ExprNode::Not(of, pos) => Ok(Val::Bool(!self.truth(of, frame, *pos)?)),
+            ExprNode::Negate(of, pos) => negate(&self.value(of, frame)?, *pos),
+            ExprNode::And(pair, pos) => {
                 Ok(Val::Bool(self.truth(&pair.0, frame, *pos)? && self.truth(&pair.1, frame, *pos)?))
             }
-            Node::Or(pair, pos) => {
+            ExprNode::Or(pair, pos) => {
                 Ok(Val::Bool(self.truth(&pair.0, frame, *pos)? || self.truth(&pair.1, frame, *pos)?))
             }
-            Node::Choose(of, pos) => {
+            ExprNode::Choose(of, pos) => {
                 let chosen = if self.truth(&of.0, frame, *pos)? { &of.1 } else { &of.2 };
                 self.value(chosen, frame)
             }
-            Node::Compare(op, pair, pos) => {
+            ExprNode::Compare(op, pair, pos) => {
                 let (a, b) = (self.value(&pair.0, frame)?, self.value(&pair.1, frame)?);
                 compare(*op, &a, &b, *pos).map(Val::Bool)
             }
-            Node::Arithmetic(op, pair, pos) => {
+            ExprNode::Arithmetic(op, pair, pos) => {
                 let (a, b) = (self.value(&pair.0, frame)?, self.value(&pair.1, frame)?);
                 arithmetic(*op, a, b, *pos)
             }
-            Node::In(pair, pos) => {
+            ExprNode::In(pair, pos) => {
                 let (a, b) = (self.value(&pair.0, frame)?, self.value(&pair.1, frame)?);
                 contains(&a, &b, *pos).map(Val::Bool)
             }
-            Node::Call(function, arguments, pos) => {
+            ExprNode::Call(function, arguments, pos) => {
                 let values = arguments.iter().map(|a| self.value(a, frame)).collect::<Result<Vec<_>>>()?;
                 function.call(&values).map_err(|error| pos.error(error.to_string()))
             }
-            Node::List(items) => {
+            ExprNode::List(items) => {
                 let part = |n| self.part(self.value(n, frame)?, Pos::default());
                 let values = items.iter().map(part);
                 Ok(Val::own(Value::List(values.collect::<Result<_>>()?)))
             }
-            Node::Record(entries, pos) => self.record(entries, frame, *pos),
-            Node::Macro(kind, parts, pos) => self.comprehend(*kind, &parts.0, &parts.1, frame, *pos),
+            ExprNode::Record(entries, pos) => self.record(entries, frame, *pos),
+            ExprNode::Macro(kind, parts, pos) => self.comprehend(*kind, &parts.0, &parts.1, frame, *pos),
         }
     }
 
@@ -336,7 +338,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
 
     fn record<'v>(
         &'v self,
-        entries: &'v [(Node, Node)],
+        entries: &'v [(ExprNode, ExprNode)],
         frame: Option<&'v Frame<'v>>,
         pos: Pos,
     ) -> Result<Val<'v>> {
@@ -357,8 +359,8 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
     fn comprehend<'v>(
         &'v self,
         kind: Macro,
-        range: &'v Node,
-        body: &'v Node,
+        range: &'v ExprNode,
+        body: &'v ExprNode,
         frame: Option<&'v Frame<'v>>,
         pos: Pos,
     ) -> Result<Val<'v>> {

@@ -213,7 +213,7 @@ pub struct Expr {
     reads: Reads,
     /// Whether the fast path may be able to evaluate it.
     quick: bool,
-    root: eval::Node,
+    root: eval::ExprNode,
 }
 
 impl Expr {
@@ -244,7 +244,7 @@ impl Expr {
     /// The numbered slot that it reads, where it is a variable and nothing else.
     pub fn variable(&self) -> Option<u32> {
         match self.root {
-            eval::Node::Data(slot, _) => Some(slot),
+            eval::ExprNode::Data(slot, _) => Some(slot),
             _ => None,
         }
     }

@@ -1,7 +1,7 @@
 //! The fast path of evaluation: numbers and bools in registers, without allocation. Where it gives no value
 //! (another type, an error, a channel), the evaluation in `eval` gives the result or the error.
 
-use super::eval::{EvalContext, Node};
+use super::eval::{EvalContext, ExprNode};
 use super::functions::Function as F;
 use super::operate::{Arithmetic, Comparison};
 use crate::Value;
@@ -31,50 +31,54 @@ impl Scalar {
 }
 
 /// The value, if the fast path can compute it.
-pub(super) fn scalar<C: EvalContext + ?Sized>(node: &Node, context: &C) -> Option<Scalar> {
+pub(super) fn scalar<C: EvalContext + ?Sized>(node: &ExprNode, context: &C) -> Option<Scalar> {
     Some(match node {
-        Node::Bool(b) => Bool(*b),
-        Node::Int(i) => Int(*i),
-        Node::Float(f) => Float(*f),
-        Node::Data(slot, _) => match context.data(*slot)? {
+        ExprNode::Bool(b) => Bool(*b),
+        ExprNode::Int(i) => Int(*i),
+        ExprNode::Float(f) => Float(*f),
+        ExprNode::Data(slot, _) => match context.data(*slot)? {
             Value::Bool(b) => Bool(*b),
             Value::Int(i) => Int(*i),
             Value::Float(f) | Value::Duration(f) => Float(*f),
             _ => return None,
         },
-        Node::Active(state) => Bool(context.active(*state)),
-        Node::Age(channel, _) => Float(context.age(*channel)?),
-        Node::Not(of, _) => Bool(!scalar(of, context)?.truth()?),
-        Node::Negate(of, _) => match scalar(of, context)? {
+        ExprNode::Active(state) => Bool(context.active(*state)),
+        ExprNode::Age(channel, _) => Float(context.age(*channel)?),
+        ExprNode::Not(of, _) => Bool(!scalar(of, context)?.truth()?),
+        ExprNode::Negate(of, _) => match scalar(of, context)? {
             Int(i) => Int(i.checked_neg()?),
             Float(f) => Float(-f),
             Bool(_) => return None,
         },
-        Node::And(pair, _) => Bool(scalar(&pair.0, context)?.truth()? && scalar(&pair.1, context)?.truth()?),
-        Node::Or(pair, _) => Bool(scalar(&pair.0, context)?.truth()? || scalar(&pair.1, context)?.truth()?),
-        Node::Choose(of, _) => {
+        ExprNode::And(pair, _) => {
+            Bool(scalar(&pair.0, context)?.truth()? && scalar(&pair.1, context)?.truth()?)
+        }
+        ExprNode::Or(pair, _) => {
+            Bool(scalar(&pair.0, context)?.truth()? || scalar(&pair.1, context)?.truth()?)
+        }
+        ExprNode::Choose(of, _) => {
             let chosen = if scalar(&of.0, context)?.truth()? { &of.1 } else { &of.2 };
             return scalar(chosen, context);
         }
-        Node::Compare(op, pair, _) => Bool(compare(*op, &pair.0, &pair.1, context)?),
-        Node::Arithmetic(op, pair, _) => {
+        ExprNode::Compare(op, pair, _) => Bool(compare(*op, &pair.0, &pair.1, context)?),
+        ExprNode::Arithmetic(op, pair, _) => {
             arithmetic(*op, scalar(&pair.0, context)?, scalar(&pair.1, context)?)?
         }
-        Node::Call(function, arguments, _) => return call(*function, arguments, context),
+        ExprNode::Call(function, arguments, _) => return call(*function, arguments, context),
         _ => return None,
     })
 }
 
-fn text<'v, C: EvalContext + ?Sized>(node: &'v Node, context: &'v C) -> Option<&'v str> {
+fn text<'v, C: EvalContext + ?Sized>(node: &'v ExprNode, context: &'v C) -> Option<&'v str> {
     match node {
-        Node::Text(s) => Some(s),
-        Node::EventName => Some(context.event_name().unwrap_or("")),
-        Node::Data(slot, _) => context.data(*slot)?.as_str(),
+        ExprNode::Text(s) => Some(s),
+        ExprNode::EventName => Some(context.event_name().unwrap_or("")),
+        ExprNode::Data(slot, _) => context.data(*slot)?.as_str(),
         _ => None,
     }
 }
 
-fn compare<C: EvalContext + ?Sized>(op: Comparison, a: &Node, b: &Node, context: &C) -> Option<bool> {
+fn compare<C: EvalContext + ?Sized>(op: Comparison, a: &ExprNode, b: &ExprNode, context: &C) -> Option<bool> {
     let order = if let (Some(a), Some(b)) = (text(a, context), text(b, context)) {
         Some(a.cmp(b))
     } else {
@@ -110,7 +114,7 @@ fn arithmetic(op: Arithmetic, a: Scalar, b: Scalar) -> Option<Scalar> {
     })
 }
 
-fn call<C: EvalContext + ?Sized>(function: F, arguments: &[Node], context: &C) -> Option<Scalar> {
+fn call<C: EvalContext + ?Sized>(function: F, arguments: &[ExprNode], context: &C) -> Option<Scalar> {
     let [of] = arguments else { return None };
     let of = scalar(of, context)?;
     if let (F::Abs, Int(i)) = (function, of) {

@@ -40,14 +40,14 @@ impl Rect {
 
 /// A step of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Step {
+pub(super) enum LineStep {
     Move(Point),
     Line(Point),
     /// A cubic Bézier curve: two control points, and the end.
     Curve(Point, Point, Point),
 }
 
-impl Step {
+impl LineStep {
     /// The step with a function applied to its points.
     pub(super) fn map(self, f: impl Fn(Point) -> Point) -> Self {
         match self {

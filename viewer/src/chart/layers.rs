@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 
-use super::geometry::{Point, Size, Step};
+use super::geometry::{LineStep, Point, Size};
 
 /// An arrow between two boxes, with the size of its label; an arrow without a label has an empty one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub(super) struct Link {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Route {
     /// From the source to the base of the head, with a gap for the label.
-    pub(super) line: Vec<Step>,
+    pub(super) line: Vec<LineStep>,
     /// The base of the head, and its tip at the target.
     pub(super) head: (Point, Point),
     /// Centre of the label.
@@ -446,8 +446,8 @@ impl Layers {
 }
 
 /// Strokes as one line with curves between them, vertical at their ends.
-fn line(strokes: &[Option<(f64, f64, f64)>]) -> Vec<Step> {
-    let mut steps: Vec<Step> = Vec::new();
+fn line(strokes: &[Option<(f64, f64, f64)>]) -> Vec<LineStep> {
+    let mut steps: Vec<LineStep> = Vec::new();
     let mut last: Option<Point> = None;
     for stroke in strokes {
         let Some((x, from, to)) = *stroke else {
@@ -455,14 +455,14 @@ fn line(strokes: &[Option<(f64, f64, f64)>]) -> Vec<Step> {
             continue;
         };
         match last {
-            None => steps.push(Step::Move((x, from))),
-            Some((before, _)) if (before - x).abs() < 0.05 => steps.push(Step::Line((x, from))),
+            None => steps.push(LineStep::Move((x, from))),
+            Some((before, _)) if (before - x).abs() < 0.05 => steps.push(LineStep::Line((x, from))),
             Some((before, y)) => {
                 let middle = (y + from) / 2.0;
-                steps.push(Step::Curve((before, middle), (x, middle), (x, from)));
+                steps.push(LineStep::Curve((before, middle), (x, middle), (x, from)));
             }
         }
-        steps.push(Step::Line((x, to)));
+        steps.push(LineStep::Line((x, to)));
         last = Some((x, to));
     }
     steps

@@ -7,7 +7,7 @@ use tiny_skia::{Color, FillRule, Paint, Path, PathBuilder, Pixmap, Stroke, Strok
 use ttf_parser::OutlineBuilder;
 
 use super::font::{SIZE, Weight, advance, face};
-use super::geometry::{Point, Rect, Step};
+use super::geometry::{LineStep, Point, Rect};
 use super::scene::{Ink, PALETTE, Scene, Shape};
 use super::{DrawError, Theme};
 
@@ -88,7 +88,7 @@ impl Canvas {
             }
             Shape::Line(steps) => self.stroke(path(steps), 1.4, false),
             Shape::Head([a, b, c]) => {
-                self.fill(path(&[Step::Move(*a), Step::Line(*b), Step::Line(*c)]), Ink::Line);
+                self.fill(path(&[LineStep::Move(*a), LineStep::Line(*b), LineStep::Line(*c)]), Ink::Line);
             }
             Shape::Dot((x, y), radius) => {
                 self.fill(PathBuilder::from_circle(*x as f32, *y as f32, *radius as f32), Ink::Line);
@@ -98,14 +98,14 @@ impl Canvas {
     }
 }
 
-fn path(steps: &[Step]) -> Option<Path> {
+fn path(steps: &[LineStep]) -> Option<Path> {
     let mut builder = PathBuilder::new();
     for step in steps {
         let at = |p: &Point| (p.0 as f32, p.1 as f32);
         match step {
-            Step::Move(p) => builder.move_to(at(p).0, at(p).1),
-            Step::Line(p) => builder.line_to(at(p).0, at(p).1),
-            Step::Curve(a, b, p) => {
+            LineStep::Move(p) => builder.move_to(at(p).0, at(p).1),
+            LineStep::Line(p) => builder.line_to(at(p).0, at(p).1),
+            LineStep::Curve(a, b, p) => {
                 let (a, b, p) = (at(a), at(b), at(p));
                 builder.cubic_to(a.0, a.1, b.0, b.1, p.0, p.1);
             }
@@ -115,19 +115,19 @@ fn path(steps: &[Step]) -> Option<Path> {
 }
 
 /// The outline of a rectangle with round corners.
-fn round(at: &Rect, radius: f64) -> Vec<Step> {
+fn round(at: &Rect, radius: f64) -> Vec<LineStep> {
     let radius = radius.min(at.size.width / 2.0).min(at.size.height / 2.0);
     let corners = [(at.x, at.y), (at.right(), at.y), (at.right(), at.bottom()), (at.x, at.bottom())];
     // The direction in which each corner is left.
     let ways = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
     let along = |p: Point, way: Point, by: f64| (p.0 + way.0 * by, p.1 + way.1 * by);
-    let mut steps = vec![Step::Move(along(corners[0], ways[0], radius))];
+    let mut steps = vec![LineStep::Move(along(corners[0], ways[0], radius))];
     for n in 1..=4 {
         let (corner, arrives, leaves) = (corners[n % 4], ways[n - 1], ways[n % 4]);
         let rest = radius * (1.0 - QUARTER);
-        steps.push(Step::Line(along(corner, arrives, -radius)));
+        steps.push(LineStep::Line(along(corner, arrives, -radius)));
         let control = (along(corner, arrives, -rest), along(corner, leaves, rest));
-        steps.push(Step::Curve(control.0, control.1, along(corner, leaves, radius)));
+        steps.push(LineStep::Curve(control.0, control.1, along(corner, leaves, radius)));
     }
     steps
 }

@@ -4,7 +4,7 @@
 use armarium_runtime::chart::{Outline, OutlineKind};
 
 use super::font::{LINE, SIZE, Weight, width};
-use super::geometry::{Point, Rect, Size, Step};
+use super::geometry::{LineStep, Point, Rect, Size};
 use super::graph::Graph;
 use super::nested::{DOT, EXIT_GAP, PAD, PILL, PILL_PAD, Placed, exit_target, label_size, lay_out};
 
@@ -57,7 +57,7 @@ pub(super) enum Shape {
         /// The path of the state whose box it is.
         state: Option<String>,
     },
-    Line(Vec<Step>),
+    Line(Vec<LineStep>),
     /// The triangle at the end of an arrow; the tip is in the middle.
     Head([Point; 3]),
     /// A dot: centre and radius.

@@ -6,7 +6,7 @@ use crate::markup::escape;
 
 use super::Theme;
 use super::font::{SIZE, Weight, width};
-use super::geometry::Step;
+use super::geometry::LineStep;
 use super::scene::{Ink, PALETTE, Scene, Shape};
 
 /// Writes a picture as a file of its own, with its style sheet.
@@ -69,9 +69,9 @@ fn shape(shape: &Shape, out: &mut String) {
             out.push_str("<path class=\"arrow\" d=\"");
             for step in steps {
                 let _ = match step {
-                    Step::Move((x, y)) => write!(out, "M{x:.1} {y:.1}"),
-                    Step::Line((x, y)) => write!(out, "L{x:.1} {y:.1}"),
-                    Step::Curve(a, b, p) => {
+                    LineStep::Move((x, y)) => write!(out, "M{x:.1} {y:.1}"),
+                    LineStep::Line((x, y)) => write!(out, "L{x:.1} {y:.1}"),
+                    LineStep::Curve(a, b, p) => {
                         write!(out, "C{:.1} {:.1} {:.1} {:.1} {:.1} {:.1}", a.0, a.1, b.0, b.1, p.0, p.1)
                     }
                 };

@@ -6,7 +6,7 @@ use std::path::Path;
 use armarium_runtime::chart::{Outline, OutlineKind, load_text};
 
 use super::font::{SIZE, width};
-use super::geometry::{Point, Rect, Size, Step};
+use super::geometry::{LineStep, Point, Rect, Size};
 use super::scene::{PALETTE, Scene, Shape};
 use super::{DrawError, Format, Theme, Unfold, fold, levels, levels_that_fit, render, unfold};
 
@@ -79,7 +79,7 @@ fn sixty_states() -> String {
     for stage in 0..6 {
         text.push_str(&format!("  Stage{stage}:\n"));
         if stage % 2 == 0 {
-            chain(4, &format!("Step{stage}_"), 7, &mut text);
+            chain(4, &format!("LineStep{stage}_"), 7, &mut text);
         } else {
             text.push_str("    parallel:\n      Left:\n");
             chain(8, &format!("Left{stage}_"), 3, &mut text);
@@ -173,15 +173,15 @@ fn bounds(points: &[Point]) -> Rect {
 }
 
 /// Points along a line, close to each other.
-fn samples(steps: &[Step]) -> Vec<Point> {
+fn samples(steps: &[LineStep]) -> Vec<Point> {
     let mut points: Vec<Point> = Vec::new();
     for step in steps {
         let last = points.last().copied().unwrap_or_default();
         let mix = |a: Point, b: Point, t: f64| (a.0 + (b.0 - a.0) * t, a.1 + (b.1 - a.1) * t);
         match *step {
-            Step::Move(p) => points.push(p),
-            Step::Line(p) => points.extend((1..=40).map(|n| mix(last, p, f64::from(n) / 40.0))),
-            Step::Curve(a, b, p) => points.extend((1..=40).map(|n| {
+            LineStep::Move(p) => points.push(p),
+            LineStep::Line(p) => points.extend((1..=40).map(|n| mix(last, p, f64::from(n) / 40.0))),
+            LineStep::Curve(a, b, p) => points.extend((1..=40).map(|n| {
                 let t = f64::from(n) / 40.0;
                 let (ab, bc, cd) = (mix(last, a, t), mix(a, b, t), mix(b, p, t));
                 mix(mix(ab, bc, t), mix(bc, cd, t), t)
@@ -256,9 +256,10 @@ fn a_label_on_a_box_or_a_line_is_found() {
     let label = scene.shapes.iter().find(|s| matches!(s, Shape::Text { text, .. } if text == "success"));
     let Some(Shape::Text { at, text, ink, weight }) = label.cloned() else { panic!("there is a label") };
     scene.shapes.push(Shape::Text { at: (at.0 + 3.0, at.1 + 3.0), text: text.clone(), ink, weight });
-    scene
-        .shapes
-        .push(Shape::Line(vec![Step::Move((at.0, at.1 - 20.0)), Step::Line((at.0 + 20.0, at.1 + 20.0))]));
+    scene.shapes.push(Shape::Line(vec![
+        LineStep::Move((at.0, at.1 - 20.0)),
+        LineStep::Line((at.0 + 20.0, at.1 + 20.0)),
+    ]));
     assert!(touching(&scene).len() >= 2);
 }
 

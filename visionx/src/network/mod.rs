@@ -75,7 +75,7 @@ pub struct Network {
 /// What a network computes, and where its values are.
 #[derive(Debug)]
 struct Plan {
-    steps: Vec<Step>,
+    steps: Vec<PlannedOperation>,
     slots: Vec<usize>,
     input: Place,
     input_shape: [usize; 3],
@@ -83,7 +83,7 @@ struct Plan {
 }
 
 #[derive(Debug)]
-struct Step {
+struct PlannedOperation {
     operation: Operation,
     inputs: Vec<Place>,
     output: Place,
@@ -161,7 +161,7 @@ impl Plan {
             let inputs = node.inputs.iter().map(|tensor| places[tensor]).collect();
             places.insert(node.output, output);
             ends.iter().for_each(|tensor| slots.free.push(places[tensor].slot));
-            steps.push(Step { operation: node.operation, inputs, output });
+            steps.push(PlannedOperation { operation: node.operation, inputs, output });
         }
         let shape = graph.input_shape;
         Self {

@@ -21,7 +21,7 @@ const MOST_PRODUCTS: usize = 20_000_000_000;
 
 /// An operation with the tensors that it reads and writes.
 #[derive(Debug)]
-pub(super) struct Node {
+pub(super) struct GraphNode {
     pub(super) operation: Operation,
     pub(super) inputs: Vec<usize>,
     pub(super) output: usize,
@@ -30,7 +30,7 @@ pub(super) struct Node {
 /// What is to be computed, in order.
 #[derive(Debug)]
 pub(super) struct Graph {
-    pub(super) nodes: Vec<Node>,
+    pub(super) nodes: Vec<GraphNode>,
     pub(super) input: usize,
     pub(super) input_shape: ImageShape,
     pub(super) outputs: Vec<usize>,
@@ -259,7 +259,7 @@ impl Reader<'_> {
         &mut self,
         operator: &Operator<'_>,
         computed: &BTreeMap<usize, usize>,
-    ) -> Result<Option<Node>, NetworkError> {
+    ) -> Result<Option<GraphNode>, NetworkError> {
         let first = operator.input(0)?;
         // The others have weights, shapes and axes behind the first input.
         let inputs = match operator.code {
@@ -292,7 +292,7 @@ impl Reader<'_> {
             let what = "number of products of one run";
             return Err(NetworkError::TooLarge { what, is: self.products, most: MOST_PRODUCTS });
         }
-        Ok(Some(Node { operation, inputs, output: operator.output }))
+        Ok(Some(GraphNode { operation, inputs, output: operator.output }))
     }
 
     fn operation(&mut self, operator: &Operator<'_>, input: usize) -> Result<Operation, NetworkError> {

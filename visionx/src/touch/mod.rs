@@ -21,6 +21,7 @@ mod step;
 #[cfg(test)]
 mod tests;
 
+use armarium_values::distance_from_box;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 pub use step::TouchStep;
@@ -70,8 +71,7 @@ impl OwnPart {
 
     /// The distance of a point (root frame) from it, m; 0 inside.
     pub(crate) fn distance(&self, point: &Point3<f64>) -> f64 {
-        let in_box = self.root_from_box.inverse() * point;
-        (in_box.coords.abs() - self.size / 2.0).sup(&Vector3::zeros()).norm()
+        distance_from_box(point, &self.root_from_box, &self.size)
     }
 }
 

@@ -58,7 +58,7 @@ pub struct ContourNode {
 pub struct ParticleFilterFingerTracking {
     model: FingerARModel,
     particles: Vec<Contour>,
-    nodes: Vec<Node>,
+    nodes: Vec<NodeIdentity>,
     next_id: u64,
     count: usize,
 }
@@ -71,7 +71,7 @@ struct Contour {
 }
 
 #[derive(Clone, Debug)]
-struct Node {
+struct NodeIdentity {
     id: u64,
     unseen: u32,
 }
@@ -137,7 +137,7 @@ impl ParticleFilterFingerTracking {
 
     /// The tips in order around the palm, px.
     pub fn nodes(&self, focal: f64, center: [f64; 2]) -> Vec<ContourNode> {
-        let node = |(i, node): (usize, &Node)| {
+        let node = |(i, node): (usize, &NodeIdentity)| {
             let (mean, deviation) = self.mean(i);
             let px = Point2::from(mean.coords * focal + Vector2::from(center));
             ContourNode { id: node.id, px, deviation: deviation * focal, unseen: node.unseen }
@@ -250,7 +250,7 @@ impl ParticleFilterFingerTracking {
             let own = turn(&candidate.center);
             let at = nodes.iter().position(|n| turn(&n.px) > own).unwrap_or(nodes.len());
             let place = frame.normalised(&candidate.center);
-            self.nodes.insert(at, Node { id: self.next_id, unseen: 0 });
+            self.nodes.insert(at, NodeIdentity { id: self.next_id, unseen: 0 });
             self.next_id += 1;
             for particle in &mut self.particles {
                 let start = place + normal2(rng) * (1.0 / frame.focal);

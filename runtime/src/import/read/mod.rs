@@ -20,7 +20,7 @@ pub(super) type Index = usize;
 #[derive(Debug, Default)]
 pub(super) struct Document {
     pub(super) name: Option<String>,
-    pub(super) states: Vec<State>,
+    pub(super) states: Vec<ScxmlState>,
     /// Elements with foreign names that tools have added to the document, with their lines.
     pub(super) foreign: Vec<(u32, String)>,
 }
@@ -37,7 +37,7 @@ pub(super) enum ScxmlKind {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct State {
+pub(super) struct ScxmlState {
     pub(super) line: u32,
     pub(super) id: Option<String>,
     pub(super) kind: ScxmlKind,
@@ -233,7 +233,7 @@ impl<'x> ScxmlReader<'x, '_> {
         }
         self.document.name = node.attribute("name").map(str::to_owned);
         let initial = self.initial_attribute(node);
-        self.document.states.push(State { line: self.line(node), initial, ..State::default() });
+        self.document.states.push(ScxmlState { line: self.line(node), initial, ..ScxmlState::default() });
         for child in node.children() {
             match self.element_or_foreign(child) {
                 None => {}
@@ -268,8 +268,14 @@ impl<'x> ScxmlReader<'x, '_> {
         };
         let initial = self.initial_attribute(node);
         let id = node.attribute("id").map(str::to_owned);
-        let state =
-            State { line: self.line(node), id, kind, parent: Some(parent), initial, ..State::default() };
+        let state = ScxmlState {
+            line: self.line(node),
+            id,
+            kind,
+            parent: Some(parent),
+            initial,
+            ..ScxmlState::default()
+        };
         self.document.states.push(state);
         self.document.states[parent].children.push(at);
         for child in node.children() {

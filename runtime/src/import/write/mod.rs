@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use super::ImportError;
 use super::expression::{self, Expr, Scope};
 use super::names::{ScxmlNames, ancestors};
-use super::read::{Code, Document, Index, ScxmlEntry, ScxmlKind, ScxmlTransition, State, Text};
+use super::read::{Code, Document, Index, ScxmlEntry, ScxmlKind, ScxmlState, ScxmlTransition, Text};
 use super::yaml::{cel_string, comment, literal, quoted, scalar};
 
 /// SCXML's own events, which a chart need not declare.
@@ -138,7 +138,7 @@ impl Writer<'_> {
     }
 
     fn state(&mut self, at: Index, indent: usize) {
-        let state: &State = &self.document.states[at];
+        let state: &ScxmlState = &self.document.states[at];
         let name = self.names.name(at);
         let note = match &state.id {
             Some(id) if id != name => format!("  # `{}` in SCXML", comment(id)),
@@ -156,7 +156,7 @@ impl Writer<'_> {
     }
 
     fn data(&mut self, at: Index, indent: usize) {
-        let state: &State = &self.document.states[at];
+        let state: &ScxmlState = &self.document.states[at];
         if !state.data.is_empty() {
             let fields = self.fields(at, &state.data);
             self.line(indent, &format!("with: {fields}"));
@@ -214,7 +214,7 @@ impl Writer<'_> {
     // Transitions.
 
     fn transitions(&mut self, at: Index, indent: usize) {
-        let state: &State = &self.document.states[at];
+        let state: &ScxmlState = &self.document.states[at];
         let always: Vec<&ScxmlTransition> =
             state.transitions.iter().filter(|t| t.events.is_empty()).collect();
         if !always.is_empty() {
