@@ -32,9 +32,9 @@ constants! {
         squeeze: f64 = 25.0, POSITIVE;
         /// Largest squeeze, N.
         most_squeeze: f64 = 35.0, POSITIVE;
-        /// The friction on which it relies, ...
+        /// The friction between hands and load on which it relies.
         friction: f64 = 0.6, POSITIVE;
-        /// ... and how much more the hands press than with half of the load over this.
+        /// How many times half of the load over that friction the hands press.
         margin: f64 = 1.5, 1.0..=10.0;
         /// A load that would slip in the largest squeeze, without the margin, for this long is about to be lost, s.
         slips_after: f64 = 0.3, 0.0..=60.0;

@@ -23,9 +23,12 @@ use crate::skills::move_tcp::tolerances;
 
 /// Speed of the head, rad/s.
 const GAZE_SPEED: f64 = 1.5;
-/// A force of this size means that a hand has met something, N: it goes back so fast, m/s, for so long, s, at most so often.
+/// A force of this size means that a hand has met something, N.
 const STOPPING_FORCE: f64 = 15.0;
-const GOES_BACK: (f64, f64, usize) = (0.08, 0.8, 3);
+/// Then it goes back: with this speed, m/s, for this time, s, and at most so often.
+const BACK_SPEED: f64 = 0.08;
+const BACK_TIME: f64 = 0.8;
+const MOST_MET: usize = 3;
 /// Where the hands wait for each other they need to be this much less exact.
 const WAITING: f64 = 3.0;
 /// For how long both hands have to be there, s, and how old what was seen of them may be then, s.
@@ -128,12 +131,11 @@ impl Reach {
 
     /// A hand has met something, as a thing that is moved against it: it goes back and both begin again. False when that was too often.
     fn meets(&mut self, hand: usize) -> bool {
-        let (_, lasts, most) = GOES_BACK;
         if self.back[hand] <= 0.0 {
-            (self.back[hand], self.down, self.there) = (lasts, None, 0.0);
+            (self.back[hand], self.down, self.there) = (BACK_TIME, None, 0.0);
             self.met += 1;
         }
-        self.met <= most
+        self.met <= MOST_MET
     }
 
     /// The velocities of both hands, root frame, m/s and rad/s; `None` when both are there.
@@ -188,7 +190,7 @@ impl Reach {
         self.back = back.map(|left| (left - dt).max(0.0));
         let twist = |i: usize| {
             if back.iter().any(|left| *left > 0.0) {
-                let linear = if back[i] > 0.0 { approach[i] * -GOES_BACK.0 } else { Vector3::zeros() };
+                let linear = if back[i] > 0.0 { approach[i] * -BACK_SPEED } else { Vector3::zeros() };
                 return Twist { linear, angular: Vector3::zeros() };
             }
             let descends = approach[i] * (speed * moving);
