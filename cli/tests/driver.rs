@@ -5,11 +5,8 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-#[path = "../../tests/src/outside.rs"]
-mod outside;
-
+use crate::outside::not_run;
 use armarium_robot::Model;
-use outside::not_run;
 
 const ROBOT: &str = "pillar7";
 const CHART: &str = "

@@ -1,7 +1,5 @@
 //! `armarium image` with real processes: what one offers, others list, show, record and play; and a provider that is
 //! killed harms nobody.
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};

@@ -3,8 +3,6 @@
 //! The browser is Debian's Chromium, driven by `playwright-core` (npm); `ARMARIUM_NODE_MODULES` names the folder of the npm packages. Without
 //! them these tests say that they were not run; with `ARMARIUM_COMPLETE` they fail.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
-
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
@@ -12,9 +10,6 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use serde_json::Value as Json;
-
-#[path = "../../tests/src/outside.rs"]
-mod outside;
 
 /// Long enough for a browser to see it, and with states inside of states.
 const SWINGS: &str = "
@@ -238,7 +233,7 @@ fn browser() -> Option<(PathBuf, PathBuf)> {
     let chromium = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let chromium = chromium.iter().map(PathBuf::from).find(|file| file.is_file());
     if modules.is_none() || chromium.is_none() {
-        outside::not_run(
+        crate::outside::not_run(
             "a browser needs Debian's chromium, and the npm packages playwright-core, axe-core, @foxglove/ws-protocol and ws in ARMARIUM_NODE_MODULES",
         );
     }

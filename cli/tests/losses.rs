@@ -2,14 +2,8 @@
 //! while the arm moves at full speed and presses against a soft wall. It has to stand soon, the chart fails with the reason, and
 //! only what has ended is started again.
 
+#![allow(clippy::print_stdout, reason = "it says what it measured")]
 #![cfg(unix)]
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may fail, and says what it measured"
-)]
-
 use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -171,7 +165,7 @@ struct Arm {
 impl Arm {
     fn start(port: u16) -> Self {
         let mut process = Command::new(std::env::current_exe().expect("this test has a file"))
-            .args(["--exact", "drives", "--nocapture"])
+            .args(["--exact", "losses::drives", "--nocapture"])
             .env(DRIVES_AT, format!("tcp/127.0.0.1:{port}"))
             .stdout(Stdio::piped())
             .spawn()

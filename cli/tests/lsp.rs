@@ -3,10 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-#[path = "../../tests/src/outside.rs"]
-mod outside;
-
-use outside::not_run;
+use crate::outside::not_run;
 
 /// A Python with the package `pytest-lsp`, where there is one.
 fn python() -> Option<std::ffi::OsString> {

@@ -1,6 +1,4 @@
 //! `import`, `step`, `check` and `test` as the programs that people and other programs start.
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};

@@ -1,11 +1,7 @@
 //! Two processes on loopback: an agent that offers charts, and a run that starts them. One of them is killed, stopped,
 //! or cut off, and the other notices within a second.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::disallowed_methods,
-    reason = "a test may fail; it waits for what other processes say, on threads of its own"
-)]
+
+#![allow(clippy::disallowed_methods, reason = "it waits for other processes on threads of its own")]
 
 use std::io::{BufRead as _, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -17,10 +13,7 @@ use std::sync::{Arc, Mutex};
 
 use tempfile::TempDir;
 
-#[path = "../../tests/src/outside.rs"]
-mod outside;
-
-use outside::not_run;
+use crate::outside::not_run;
 
 /// What `bob` offers.
 const DANCE: &str = "

@@ -67,7 +67,7 @@ pub async fn serve_cameras(
     console.note(&format!(
         "  blind until a run shows them its world: armarium run CHART --cameras {name} --connect ENDPOINT"
     ));
-    let mut refused = None;
+    let mut refused = false;
     loop {
         let message = scenery.next().await;
         let drawn = SCENERY
@@ -76,13 +76,11 @@ pub async fn serve_cameras(
             .map_err(|e| e.to_string())
             .and_then(|scenery| cameras.draw(&scenery).map_err(|e| e.to_string()))
             .and_then(|stereo| frame_of(&stereo, 0, &frame_id).map_err(|e| e.to_string()));
+        // Said once until a scene is drawn again: a run with another world sends the wrong one with each frame.
+        let was_refused = std::mem::replace(&mut refused, drawn.is_err());
         match drawn {
             Ok(frame) => frames.send(frame),
-            // Once per error: a run with another world sends it with each frame.
-            Err(error) if refused.as_ref() != Some(&error) => {
-                console.note(&format!("warning: {error}"));
-                refused = Some(error);
-            }
+            Err(error) if !was_refused => console.note(&format!("warning: {error}")),
             Err(_) => {}
         }
     }

@@ -1,7 +1,5 @@
 //! An arm goes around what memory knows to be in its way, and says so where there is no way.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -1,15 +1,11 @@
 //! Two hands on one thing: they carry it without crushing it, and what they lose is a failure that is named.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
-mod ended;
-
 use std::path::Path;
 use std::sync::Arc;
 
 use armarium_host::{Console, RunConfig, RunEnded, Silent, run};
 
-use ended::ended;
+use crate::ended::ended;
 
 /// Two runs of the learning chart with the same memory: so many epochs each.
 fn days(epochs: [&str; 2]) -> [RunEnded; 2] {

@@ -1,7 +1,5 @@
 //! What a hand carries moves with it in memory, and so does what stands on it.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
-
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;

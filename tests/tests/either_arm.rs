@@ -1,15 +1,11 @@
 //! The shipped charts do with the left arm what they do with the right one, in the mirrored kitchen.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
-mod ended;
-
 use std::path::Path;
 use std::time::Duration;
 
 use armarium_host::{RunConfig, RunEnded};
 
-use ended::ended;
+use crate::ended::ended;
 
 /// A run of a chart, with inputs.
 fn with_inputs(chart: &Path, inputs: &[(&str, &str)]) -> RunEnded {

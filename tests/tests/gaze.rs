@@ -1,7 +1,5 @@
 //! `GazeSelection` in a run: it looks at what a running skill needs, and says why.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 

@@ -1,12 +1,8 @@
 //! A person leads the hand: with little force, and the hand stands when it is shoved, left alone, or when its sensor fails.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
-mod ended;
-
 use armarium_host::{RunConfig, RunEnded};
 
-use ended::ended;
+use crate::ended::ended;
 
 /// A run of `guide.yaml` in a shipped world.
 fn guided(world: &str, seed: u64) -> RunEnded {

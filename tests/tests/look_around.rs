@@ -1,7 +1,5 @@
 //! What stands around the robot: known where it is, once, not where it was, and still the next day.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::path::Path;
 use std::sync::Arc;
 

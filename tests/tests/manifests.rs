@@ -1,7 +1,5 @@
 //! What the manifests of skills that ship say of channels is what the skills do in a run.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 use std::sync::{Arc, Mutex};

@@ -1,7 +1,5 @@
 //! A chart's skill moves the simulated arm at full joint speed and ends, is cancelled, panics or hangs. Each time
 //! the robot stands still within 200 ms, and the chart reports what happened.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
-
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

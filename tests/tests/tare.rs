@@ -1,7 +1,5 @@
 //! `Tare` makes the resting hand's force zero, and says why it does not.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;

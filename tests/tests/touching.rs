@@ -1,12 +1,8 @@
 //! A hand that comes along a table sees what it touches, and grasps what it would have pushed away.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
-mod ended;
-
 use armarium_host::{RunConfig, RunEnded};
 
-use ended::ended;
+use crate::ended::ended;
 
 fn grasped(world: &str, inputs: &[(&str, &str)]) -> RunEnded {
     let charts = armarium_tests::repository::root().join("statecharts");

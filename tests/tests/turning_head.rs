@@ -1,7 +1,5 @@
 //! A picture that arrives late is joined with where the camera was when it was taken.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::path::Path;
 use std::sync::Arc;
 

@@ -10,7 +10,7 @@ use armarium_memoryx::{
 };
 use armarium_values::Value;
 
-use crate::Authority;
+use super::Authority;
 
 fn commit(provider: &str, entity: &str) -> Vec<Commit> {
     let id = EntityId::new("Things", provider, entity).unwrap();

@@ -10,7 +10,7 @@ use armarium_robot::{
 };
 use tokio::time::{sleep, timeout};
 
-use crate::Authority;
+use super::Authority;
 
 fn names(names: &[&str]) -> Vec<String> {
     names.iter().map(|&name| name.to_owned()).collect()

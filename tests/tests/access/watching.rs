@@ -9,7 +9,7 @@ use armarium_visionx::providers::{
     Delivery, FileProvider, ImageCoding, ImageProvider as _, Pace, RemoteProvider, offer,
 };
 
-use crate::Authority;
+use super::Authority;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn images_and_the_live_page_are_for_watchers() {

@@ -1,7 +1,5 @@
 //! Mutual TLS and access rules over real sessions: whom a certificate lets in, and with which rights.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 mod memory;
 mod robot;
 mod watching;
