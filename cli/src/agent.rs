@@ -65,9 +65,6 @@ pub(crate) struct AgentArgs {
 
 /// Serves until Ctrl-C. Returns the exit status: 0 when it was ended so, 1 when its chart has failed, 2 when it could
 /// not start.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &AgentArgs, out: &mut dyn Write) -> io::Result<u8> {
     let config = match logging::check_environment().and_then(|()| config(args)) {
         Ok(config) => config,

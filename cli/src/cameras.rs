@@ -28,9 +28,6 @@ pub(crate) struct CamerasArgs {
 }
 
 /// Renders the scenes of runs until Ctrl-C. Returns the exit status.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &CamerasArgs, out: &mut dyn Write) -> io::Result<u8> {
     let session = match args.connection.config() {
         Ok(session) => SessionConfig { shared_memory: true, ..session },

@@ -33,9 +33,6 @@ struct Listed {
 }
 
 /// Writes the channels. Returns the exit status: 2 when a folder is not there.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &ChannelsArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Some(folder) = missing(&args.charts) {
         return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);

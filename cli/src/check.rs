@@ -38,9 +38,6 @@ pub(crate) struct Style {
 }
 
 /// Checks all files against the skills and channels of `catalog`, and writes what is found. Returns the exit status: 2 when there is an error, otherwise 0.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &CheckArgs, style: Style, catalog: &Catalog, out: &mut dyn Write) -> io::Result<u8> {
     if args.watch {
         return crate::changes::follow(&args.files, &args.charts, out, |out| once(args, style, catalog, out));

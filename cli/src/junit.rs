@@ -59,9 +59,6 @@ impl Suite {
 }
 
 /// Writes the results to a file; makes its folder where it is missing.
-///
-/// # Errors
-/// When the folder or the file cannot be written.
 pub(crate) fn write(file: &Path, suites: &[Suite]) -> io::Result<()> {
     if let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder)?;

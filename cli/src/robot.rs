@@ -73,9 +73,6 @@ enum RobotCommand {
 }
 
 /// Runs the subcommand. Returns the exit status: 2 when a file cannot be used.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &RobotArgs, out: &mut dyn Write) -> io::Result<u8> {
     match &args.command {
         RobotCommand::New { urdf, out: folder, semantics, packages, force } => {

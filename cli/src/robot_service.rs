@@ -95,9 +95,6 @@ pub(crate) struct ScaleArgs {
 }
 
 /// Serves until Ctrl-C. Returns the exit status.
-///
-/// # Errors
-/// When `out` cannot be written; the same for all functions here.
 pub(crate) fn serve(args: &ServeArgs, out: &mut dyn Write) -> io::Result<u8> {
     let Description { model, .. } = match described::described(&args.robot, &[]) {
         Ok(found) => found,

@@ -30,9 +30,6 @@ pub(crate) enum SchemaOf {
 }
 
 /// Writes the schema. Returns the exit status 0.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let kind = match args.of {
         SchemaOf::World => FileKind::World,

@@ -37,9 +37,6 @@ fn read_data(text: &str) -> Result<serde_json::Value, String> {
 
 /// Sends the event. Returns the exit status: 0 when a chart took it, 1 when it was refused or nobody answered, 2 when
 /// an argument is wrong.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &SendArgs, out: &mut dyn Write) -> io::Result<u8> {
     if !args.connection.is_given() {
         let whom = args.to.as_ref().map_or_else(|| "the agent".to_owned(), |to| format!("`{to}`"));

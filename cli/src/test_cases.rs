@@ -42,9 +42,6 @@ struct Tested {
 
 /// Plays all cases and writes how they went. Returns the exit status: 0 when all pass, 1 when one does not, 2 when a file
 /// is wrong.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     let registry = catalog::idle_registry();
     let mut tested: BTreeMap<PathBuf, Tested> = BTreeMap::new();

@@ -32,9 +32,6 @@ pub(crate) struct ViewArgs {
 }
 
 /// Serves the page until Ctrl-C. Returns the exit status: 2 when there is nothing to show.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &ViewArgs, out: &mut dyn Write) -> io::Result<u8> {
     if args.other.is_none() && is_agent(&args.shown) {
         return follow(args, &args.shown.display().to_string(), out);

@@ -195,9 +195,6 @@ pub(crate) enum Failure {
 
 /// Executes the command. Returns the exit status: 0 success, 1 the operation failed, 2 an argument or file is
 /// invalid.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &ImageArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let session = match args.connection().config() {
         Ok(session) => SessionConfig { shared_memory: true, ..session },

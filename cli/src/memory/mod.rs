@@ -384,9 +384,6 @@ impl From<armarium_memoryx::StoreError> for Failure {
 
 /// Executes a command. Returns the exit status: 0 when it was done, 1 when the memory refused or is damaged, 2 for an
 /// invalid argument.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write) -> io::Result<u8> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     // A server prints the time of each log line.

@@ -94,9 +94,6 @@ impl InputLine {
 }
 
 /// Reads a line; `None` for an empty one.
-///
-/// # Errors
-/// One sentence for people.
 pub(super) fn read(text: &str) -> Result<Option<InputLine>, String> {
     if text.trim().is_empty() {
         return Ok(None);
@@ -158,10 +155,7 @@ pub(super) fn publish(stepper: &mut Stepper, channel: &str, value: &Value) {
     stepper.publish(channel, read.unwrap_or_else(|_| value.clone()), Duration::ZERO);
 }
 
-/// Passes a line's input to the chart.
-///
-/// # Errors
-/// [`StepError`] when it is an outcome or a watch of a state that is not active, or has none such now: nothing changes.
+/// Passes a line's input to the chart. Nothing changes where the state is not active, or has no such outcome or watch now.
 pub(super) fn apply(stepper: &mut Stepper, input: &InputLine) -> Result<(), StepError> {
     if !input.after.is_zero() {
         stepper.advance(input.after);

@@ -62,9 +62,6 @@ enum Stopped {
 
 /// Drives the chart; results go to `out`, errors to `err`. Returns the exit status: 2 when a file, an argument or an
 /// event of a file is invalid, 1 when the run has failed, otherwise 0.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &StepArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let checked = catalog::load_idle(&args.chart, &args.charts);
     let Some(program) = checked.program else {

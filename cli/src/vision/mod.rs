@@ -241,9 +241,6 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// Executes the command. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     match &args.command {
         VisionCommand::Gesture(args) => match look::recognizer(args.patterns.as_deref()) {
