@@ -44,9 +44,6 @@ fn commands(program: &Program, name: &str, endpoint: &str) -> Vec<String> {
 
 impl Network {
     /// Opens a session. With a name, the run receives events from other agents, on the session's threads.
-    ///
-    /// # Errors
-    /// [`HostError::NameTaken`]; [`HostError::Session`] when the network fails.
     pub(crate) fn open(
         config: &SessionConfig,
         name: Option<&str>,

@@ -105,10 +105,6 @@ pub(crate) struct OtherAgents {
 impl OtherAgents {
     /// Shares the robot's memory, offers the other agents their images, starts the absent agents, and follows all of
     /// them.
-    ///
-    /// # Errors
-    /// [`HostError::OtherAgent`] when an agent is absent and cannot be started; [`HostError::Memory`] and
-    /// [`HostError::Session`] when sharing fails.
     pub(crate) async fn start(sharing: Sharing) -> Result<Self, HostError> {
         let Sharing { session, world, memory, clock, .. } = &sharing;
         let own = &world.robot.name;

@@ -111,9 +111,6 @@ impl OtherRobots {
     }
 
     /// Loads and checks their charts, which are named beside the world's `file`; `robots` are those that are simulated.
-    ///
-    /// # Errors
-    /// [`HostError`] when one cannot be run.
     pub(crate) async fn prepare(
         config: &RunConfig,
         (world, file): (&World, Option<&Path>),

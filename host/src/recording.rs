@@ -207,9 +207,6 @@ impl TruthSink for TruthTopics {
 
 /// Stores the sources of the run in the recording: the chart's text, the whole world with its defaults, as a file
 /// that `--world` reads, and what a page needs to show the run.
-///
-/// # Errors
-/// When the recording cannot be written.
 pub(crate) fn attach_sources(
     recorder: &mut Recorder,
     chart: &Path,
@@ -226,9 +223,6 @@ pub(crate) fn attach_sources(
 }
 
 /// Adds the report, so that it can be seen with the recording; its pictures are in the recording anyway.
-///
-/// # Errors
-/// [`RecorderError`].
 pub(crate) fn attach_report(recorder: &mut Recorder, sections: &[Section]) -> Result<(), RecorderError> {
     let mut sections = sections.to_vec();
     for section in &mut sections {
