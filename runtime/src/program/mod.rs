@@ -429,9 +429,6 @@ impl Program {
     }
 
     /// Tests a condition of a guard or an action. It is false where it reads what memory knows nothing of.
-    ///
-    /// # Errors
-    /// [`EvalError`] for every other failure.
     pub(crate) fn test(&self, code: &Code, context: &impl EvalContext) -> Result<bool, EvalError> {
         let observed = |channel: &u32| self.observed_channels.contains(channel);
         match code.expr.test(context) {

@@ -112,10 +112,7 @@ pub enum InputError {
     },
 }
 
-/// Checks the given values against the parameters: converts them, checks the bounds, adds defaults.
-///
-/// # Errors
-/// [`InputError`] for a value that is unknown, missing, of another type, or out of bounds.
+/// Checks the given values against the parameters, converts them and adds defaults; an unknown or missing one is an error.
 pub(crate) fn inputs<'p>(
     parameters: impl Iterator<Item = &'p Parameter> + Clone,
     mut given: BTreeMap<String, Value>,
