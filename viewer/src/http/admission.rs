@@ -53,9 +53,6 @@ impl Admission {
     }
 
     /// Refuses a request of somebody else. Returns the cookie that a browser is to keep, if it came with the token in the address.
-    ///
-    /// # Errors
-    /// [`Refusal`].
     pub(crate) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<Option<String>, Refusal> {
         let text =
             |name| headers.get(name).map(|value: &hyper::header::HeaderValue| value.to_str().unwrap_or(""));
@@ -95,9 +92,6 @@ fn is_same(given: &[u8], token: &str) -> bool {
 }
 
 /// Whether the request comes with the token of who acts.
-///
-/// # Errors
-/// [`Refusal::Token`].
 pub(crate) fn check_token(headers: &HeaderMap, token: &str) -> Result<(), Refusal> {
     let given = headers.get(TOKEN).map_or(&b""[..], hyper::header::HeaderValue::as_bytes);
     is_same(given, token).then_some(()).ok_or(Refusal::Token)
