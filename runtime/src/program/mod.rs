@@ -277,25 +277,14 @@ const MAX_EVENTS_NAMED: usize = 6;
 /// Why a chart does not take an event.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum EventRefused {
-    /// It neither declares nor takes an event of that name.
+    /// It neither declares nor takes an event of that name; `help` names a similar one, or those that it takes.
     #[error("the chart `{chart}` takes no event `{event}`: {help}")]
-    Unknown {
-        /// The chart.
-        chart: String,
-        /// The event.
-        event: String,
-        /// A similar event, or those that it takes.
-        help: String,
-    },
+    Unknown { chart: String, event: String, help: String },
     /// The data are of another type than the chart declares.
     #[error("the data of `{event}`: {source}")]
-    Data {
-        /// The event.
-        event: String,
-        /// Why.
-        source: ConvertError,
-    },
+    Data { event: String, source: ConvertError },
 }
 
 impl Program {

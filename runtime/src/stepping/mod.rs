@@ -26,23 +26,14 @@ pub use coverage::{Coverage, Described};
 /// A call that the stepper cannot carry out; the chart is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum StepError {
-    /// There is no such state.
+    /// There is no state of this name or path; `help` is a similar name.
     #[error("the chart has no state `{state}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
-    State {
-        /// The name or path.
-        state: String,
-        /// A similar name.
-        help: Option<String>,
-    },
+    State { state: String, help: Option<String> },
     /// The state is not active, or has neither a running skill nor a watch of that name.
     #[error("`{state}` has no skill that runs and no armed watch `{name}`: `{name}` is dropped")]
-    NotExpected {
-        /// The state.
-        state: String,
-        /// The outcome or watch.
-        name: String,
-    },
+    NotExpected { state: String, name: String },
 }
 
 /// The active states and the chart's data.
