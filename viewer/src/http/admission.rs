@@ -31,13 +31,8 @@ pub(crate) enum Refusal {
 pub(crate) enum Admission {
     /// Who asks by one of these names of this machine.
     ThisMachine(Vec<String>),
-    /// Who has the token, as part of the address or as this cookie.
-    Invited {
-        /// The cookie's name.
-        cookie: String,
-        /// The token.
-        token: String,
-    },
+    /// Who has the token, as part of the address or as the value of the cookie of this name.
+    Invited { cookie: String, token: String },
 }
 
 impl Admission {
