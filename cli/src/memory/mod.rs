@@ -11,6 +11,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use crate::connection_args::{ConnectionArgs, explained};
+use crate::failure::Failure;
 use crate::{logging, warnings};
 
 pub(crate) mod keep;
@@ -323,22 +324,6 @@ struct RetainArgs {
     megabytes: Option<f64>,
 }
 
-/// Why a command ended.
-pub(crate) enum Failure {
-    /// The memory refuses or cannot be reached: status 1.
-    Refused(String),
-    /// An argument is invalid: status 2.
-    Argument(String),
-    /// The output cannot be written.
-    Output(io::Error),
-}
-
-impl From<io::Error> for Failure {
-    fn from(error: io::Error) -> Self {
-        Self::Output(error)
-    }
-}
-
 impl From<armarium_bus::SessionError> for Failure {
     fn from(error: armarium_bus::SessionError) -> Self {
         use armarium_bus::SessionError;
@@ -392,12 +377,7 @@ pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write
         Ok(()) => runtime.block_on(work::carry_out(args, out)),
         Err(what) => Err(Failure::Argument(what)),
     };
-    let status = match done {
-        Ok(status) => status,
-        Err(Failure::Output(error)) => return Err(error),
-        Err(Failure::Refused(what)) => writeln!(errors, "error: {what}").map(|()| 1)?,
-        Err(Failure::Argument(what)) => writeln!(errors, "error: {what}").map(|()| 2)?,
-    };
+    let status = done.or_else(|failure| failure.say(errors))?;
     // Tasks that still wait for the network end with the program.
     runtime.shutdown_background();
     Ok(status)

@@ -17,6 +17,8 @@ use std::path::PathBuf;
 use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
 pub(crate) use look::color;
 
+use crate::failure::Failure;
+
 /// Arguments of `vision`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct VisionArgs {
@@ -242,24 +244,25 @@ fn positive(text: &str) -> Result<f64, String> {
 
 /// Executes the command. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
 pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    match &args.command {
-        VisionCommand::Gesture(args) => match look::recognizer(args.patterns.as_deref()) {
-            Ok(patterns) => {
-                let detector = args.detector.of_images(patterns);
-                look::run(&args.look, look::Seek::Hand(detector), out, err)
-            }
-            Err(message) => look::refuse(&message, err),
-        },
+    carry_out(&args.command, out, err).or_else(|failure| failure.say(err))
+}
+
+fn carry_out(command: &VisionCommand, out: &mut dyn Write, err: &mut dyn Write) -> Result<u8, Failure> {
+    match command {
+        VisionCommand::Gesture(args) => {
+            let detector = args.detector.of_images(look::recognizer(args.patterns.as_deref())?);
+            look::run(&args.look, look::Seek::Hand(detector), out, err)
+        }
         VisionCommand::Fingertips(args) => {
             look::run(&args.look, look::Seek::Hand(args.detector.of_images(None)), out, err)
         }
         VisionCommand::Skin(args) => look::run(args, look::Seek::Skin, out, err),
         VisionCommand::Marker(args) => look::run(&args.look, look::Seek::Marker(args.color), out, err),
         VisionCommand::Track(args) => track::run(args, out, err),
-        VisionCommand::Train(args) => train::run(args, out, err),
-        VisionCommand::Label(args) => label::label(args, out, err),
-        VisionCommand::Score(args) => label::score(args, out, err),
-        VisionCommand::Figures(args) => figures::run(*args, out),
+        VisionCommand::Train(args) => train::run(args, out),
+        VisionCommand::Label(args) => label::label(args, out),
+        VisionCommand::Score(args) => label::score(args, out),
+        VisionCommand::Figures(args) => Ok(figures::run(*args, out)?),
     }
 }
 
