@@ -13,7 +13,6 @@ use crate::logging;
 use crate::memory::keep::KeepArgs;
 use crate::stopped::{stopped, stopped_or_input_ended};
 
-/// Arguments of `agent`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct AgentArgs {
     /// The name by which other agents call it.

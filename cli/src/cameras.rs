@@ -11,7 +11,6 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::{Terminal, refuse};
 use crate::stopped::stopped;
 
-/// Arguments of `cameras`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct CamerasArgs {
     /// The name by which a run addresses them.

@@ -12,7 +12,6 @@ use serde_json::{Value as Json, json};
 use crate::charts::{Charts, missing, within_reach};
 use crate::type_json::type_json;
 
-/// Arguments of `channels`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ChannelsArgs {
     /// Folders with charts, besides the current one: what they declare and read is listed, too.

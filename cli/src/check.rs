@@ -8,7 +8,6 @@ use armarium_source::{Disk, Finding};
 
 use crate::render_findings::{render, summary};
 
-/// What `check` takes.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct CheckArgs {
     /// Charts, worlds, test cases, object classes and scenes; which one a file is, it says itself.

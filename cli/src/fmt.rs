@@ -7,7 +7,6 @@ use armarium_source::{Finding, Source};
 
 use crate::console;
 
-/// Arguments of `fmt`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct FmtArgs {
     /// Charts, worlds, test cases and files of prior knowledge.

@@ -10,7 +10,6 @@ use armarium_viewer::chart::{Format, Theme, Unfold, fold, levels, levels_that_fi
 
 use crate::{changes, console};
 
-/// Arguments of `graph`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GraphArgs {
     /// The chart.

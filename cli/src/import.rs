@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use armarium_runtime::import;
 
-/// Arguments of `import`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ImportArgs {
     /// An SCXML document.

@@ -10,7 +10,6 @@ use armarium_source::Finding;
 
 use crate::console;
 
-/// Arguments of `lsp`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LspArgs {
     /// Folders where charts find other charts by name, besides their own.

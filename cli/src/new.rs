@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use armarium_editor::FileKind;
 
-/// Arguments of `new`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct NewArgs {
     /// The folder to write into; it is created if it does not exist.

@@ -8,7 +8,6 @@ use armarium_values::Type;
 
 use crate::console;
 
-/// Arguments of `replay`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
     /// A record that `run --record FILE` wrote.

@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use armarium_experiments::{Entry, ExperimentError, ExperimentResult, SettingInfo, all, save};
 use armarium_values::expr::nearest;
 
-/// Arguments of `reproduce`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_long_help = long_listing())]
 pub(crate) struct ReproduceArgs {

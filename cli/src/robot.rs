@@ -15,7 +15,6 @@ use crate::described::described;
 use crate::failure::Failure;
 use crate::robot_service::{self, ScaleArgs, ServeArgs, TestArgs};
 
-/// Arguments of `robot`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RobotArgs {
     #[command(subcommand)]

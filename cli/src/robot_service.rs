@@ -19,7 +19,6 @@ use crate::stopped::stopped;
 /// By what name this program asks for a robot, unless it is told another one.
 const CALLER: &str = "armarium robot";
 
-/// Arguments of `robot serve`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ServeArgs {
     /// The driver (`docs/wire-robot.md`); it may come and go.
@@ -52,7 +51,6 @@ pub(crate) struct ServeArgs {
     connection: ConnectionArgs,
 }
 
-/// Arguments of `robot test`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TestArgs {
     /// The robot behind its guard, or with --driver a driver.
@@ -77,7 +75,6 @@ pub(crate) struct TestArgs {
     connection: ConnectionArgs,
 }
 
-/// Arguments of `robot scale`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ScaleArgs {
     /// The robot behind its guard.

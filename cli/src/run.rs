@@ -16,7 +16,6 @@ use crate::console::{JsonLines, Terminal, refuse};
 use crate::logging;
 use crate::stopped::stopped;
 
-/// Arguments of `run`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RunArgs {
     /// The chart to run.

@@ -4,7 +4,6 @@ use std::io::{self, Write};
 
 use armarium_editor::FileKind;
 
-/// Arguments of `schema`.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct SchemaArgs {
     /// Which schema.

@@ -9,7 +9,6 @@ use armarium_values::Value;
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::refuse;
 
-/// Arguments of `send`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     armarium run offer.yaml --name offer --listen tcp/127.0.0.1:7447\n  \

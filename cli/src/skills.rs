@@ -14,7 +14,6 @@ use crate::charts::{missing, within_reach};
 use crate::console::refuse;
 use crate::type_json::type_json;
 
-/// Arguments of `skills`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SkillsArgs {
     /// Only these skills and charts.

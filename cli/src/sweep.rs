@@ -10,7 +10,6 @@ use serde_json::json;
 use crate::console::{refuse, show};
 use crate::run::parse_input;
 
-/// Arguments of `sweep`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     armarium sweep statecharts/wiping.yaml --seeds 1..20\n  \

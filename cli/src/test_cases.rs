@@ -17,7 +17,6 @@ use armarium_source::{Disk, Finding, Source};
 use crate::console;
 use crate::junit::{self, Case, Suite, Verdict};
 
-/// What `test` takes.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TestArgs {
     /// Files of test cases.

@@ -11,7 +11,6 @@ use armarium_viewer::live::{LivePage, PageAddress, ShownRun, ShownTimeline, Time
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::stopped::stopped;
 
-/// Arguments of `view`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     armarium view report/run.mcap              the last run: play it, jump from transition to transition\n  \

@@ -7,7 +7,6 @@ use armarium_source::{Source, draw};
 
 use crate::console::show;
 
-/// Arguments of `world`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct WorldArgs {
     #[command(subcommand)]

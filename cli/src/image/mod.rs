@@ -24,7 +24,6 @@ use crate::console;
 /// How long to wait for providers to appear.
 const DISCOVERY_TIME: Duration = Duration::from_secs(2);
 
-/// Arguments of `image`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ImageArgs {
     #[command(subcommand)]

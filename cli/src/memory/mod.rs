@@ -27,7 +27,6 @@ mod work;
 /// The name of a memory without a given name.
 const LOCAL: &str = "local";
 
-/// Arguments of `memory`.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct MemoryArgs {
     /// The agent whose memory it is.

@@ -20,7 +20,6 @@ use crate::failure::Failure;
 use crate::run::parse_input;
 use armarium_host::{catalog, charts::read_inputs};
 
-/// Arguments of `step`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct StepArgs {
     /// The chart.

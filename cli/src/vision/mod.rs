@@ -19,7 +19,6 @@ pub(crate) use look::color;
 
 use crate::failure::Failure;
 
-/// Arguments of `vision`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct VisionArgs {
     #[command(subcommand)]
