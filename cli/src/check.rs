@@ -30,7 +30,6 @@ pub(crate) struct CheckArgs {
 /// How the output is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Style {
-    /// Whether the place shows colours.
     pub(crate) colour: bool,
     /// Its width in columns.
     pub(crate) width: usize,

@@ -57,7 +57,6 @@ struct LsArgs {
     connection: ConnectionArgs,
 }
 
-/// The source of frames.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SourceArgs {
     /// `AGENT/PROVIDER`, or a recording, an image file or a folder of images.
@@ -244,12 +243,10 @@ impl From<io::Error> for Failure {
     }
 }
 
-/// A failure caused by an argument.
 pub(crate) fn argument(error: impl std::fmt::Display) -> Failure {
     Failure::Argument(error.to_string())
 }
 
-/// A failure not caused by an argument.
 pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::Failed(error.to_string())
 }

@@ -16,7 +16,6 @@ use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip,
 use crate::failure::Failure;
 use crate::render_findings::lines;
 
-/// What to search for.
 pub(super) enum Seek {
     /// The hand, its fingertips, and its gesture, as this detector sees them.
     Hand(Box<dyn HandDetector>),
@@ -89,7 +88,6 @@ fn look(
     if as_json { json(&line, out) } else { line.text(out) }
 }
 
-/// The line about a hand.
 pub(super) fn hand_line(file: &str, hand: Option<&HandInPicture>) -> HandLine {
     let file = file.to_owned();
     let Some(hand) = hand else {

@@ -47,7 +47,6 @@ enum VisionCommand {
     Figures(FiguresArgs),
 }
 
-/// Images, and how to print the results.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LookArgs {
     /// PNG or JPEG files, or folders of them.
@@ -60,7 +59,6 @@ pub(crate) struct LookArgs {
     pub(crate) json: bool,
 }
 
-/// The output of annotated images.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct AnnotateArgs {
     /// Write each image with its detections into this folder, as PNG; input images are never replaced.
@@ -77,7 +75,6 @@ pub(crate) enum Detector {
     Skin,
 }
 
-/// The detector to use.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct DetectorArgs {
     /// How hands are found.
@@ -85,7 +82,6 @@ pub(crate) struct DetectorArgs {
     pub(crate) detector: Detector,
 }
 
-/// Images, and how hands are found in them.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct FingertipArgs {
     #[command(flatten)]
@@ -94,7 +90,6 @@ pub(crate) struct FingertipArgs {
     pub(crate) detector: DetectorArgs,
 }
 
-/// Images, and the definition of gestures.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GestureArgs {
     #[command(flatten)]
@@ -106,7 +101,6 @@ pub(crate) struct GestureArgs {
     pub(crate) patterns: Option<PathBuf>,
 }
 
-/// Images, and the colour to search for.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct MarkerArgs {
     #[command(flatten)]
@@ -116,7 +110,6 @@ pub(crate) struct MarkerArgs {
     pub(crate) color: [u8; 3],
 }
 
-/// A sequence, and how to track it.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TrackArgs {
     /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
@@ -140,7 +133,6 @@ pub(crate) struct TrackArgs {
     pub(crate) model: Option<PathBuf>,
 }
 
-/// The data to learn from.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TrainArgs {
     /// Folders of images or recordings, one per sequence; none with --simulated.
@@ -162,7 +154,6 @@ pub(crate) struct TrainArgs {
     pub(crate) simulated: Option<u64>,
 }
 
-/// A sequence, and the labels of its images.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LabelledArgs {
     /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
@@ -176,7 +167,6 @@ pub(crate) struct LabelledArgs {
     pub(crate) labels: PathBuf,
 }
 
-/// The images to label.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LabelArgs {
     #[command(flatten)]
@@ -189,7 +179,6 @@ pub(crate) struct LabelArgs {
     pub(crate) port: u16,
 }
 
-/// Labelled images.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ScoreArgs {
     #[command(flatten)]
@@ -199,7 +188,6 @@ pub(crate) struct ScoreArgs {
     pub(crate) json: bool,
 }
 
-/// The amount of simulation.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct FiguresArgs {
     /// Number of seeds; each is used with three backgrounds.
