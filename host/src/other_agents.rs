@@ -34,9 +34,7 @@ use crate::recording::{SharedRecorder, world_text};
 
 /// How long to wait until an agent's memory answers.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(60);
-/// How long to wait until an agent ends.
 const END_TIMEOUT: Duration = Duration::from_secs(5);
-/// How often the processes are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// What is shared, and with which agents.

@@ -105,7 +105,6 @@ pub(crate) fn commanded(world: &World) -> impl Iterator<Item = (usize, &RobotSpe
 }
 
 impl OtherRobots {
-    /// Whether there are none.
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }

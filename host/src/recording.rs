@@ -33,7 +33,6 @@ struct Recording {
 }
 
 impl SharedRecorder {
-    /// Begins the recording.
     pub(crate) fn begin(&self, recorder: Recorder) {
         self.0.lock().recorder = Some(recorder);
     }
@@ -91,7 +90,6 @@ pub(crate) struct RunDigest {
 }
 
 impl RunDigest {
-    /// Adds an event.
     pub(crate) fn add(&self, what: &impl Serialize) {
         // Encoding fails only for values that CBOR cannot hold; these are missing from the digest of every run.
         if let Ok(bytes) = codec::encode(what) {
@@ -144,7 +142,6 @@ pub(crate) fn person_part(person: usize, part: usize) -> String {
 /// Writes the truth into the recording.
 pub(crate) struct TruthTopics {
     recorder: SharedRecorder,
-    /// The names of the world's bodies.
     bodies: Vec<String>,
     /// When they are due again, ns.
     next_ns: u64,
