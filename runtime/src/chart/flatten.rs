@@ -67,7 +67,6 @@ pub(super) enum Inside<'l> {
 }
 
 impl Flat<'_> {
-    /// Its own name.
     pub(super) fn name(&self) -> &str {
         &self.model.name.text
     }

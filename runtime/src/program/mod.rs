@@ -51,7 +51,6 @@ pub struct Program {
     pub(crate) instances: Vec<Instance>,
     pub(crate) channels: Vec<String>,
     pub(crate) slots: u32,
-    /// The names of events.
     pub(crate) event_names: EventNames,
     pub(crate) tables: Tables,
     /// Input values by profile, as written.
@@ -140,7 +139,6 @@ pub(crate) struct Entry {
 }
 
 pub(crate) struct State {
-    /// Its own name.
     pub(crate) name: String,
     /// Path from the chart down; the outermost chart's path is its own name.
     pub(crate) path: String,

@@ -57,7 +57,6 @@ impl EventNames {
         self.numbers.get(name).copied()
     }
 
-    /// The name of a number.
     pub(crate) fn name(&self, number: EventNumber) -> &str {
         self.names.get(number as usize).map_or("", |name| &**name)
     }
