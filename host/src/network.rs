@@ -57,9 +57,7 @@ impl Network {
             name.map(|name| listen(&connection, name, &peers.subscribers, console)).transpose()?;
         Ok(Self { connection: Some(connection), agents: Some(agents), peers, listening })
     }
-}
 
-impl Network {
     /// Says how the events of a chart are sent to the run.
     pub(crate) fn explain_events(&self, program: &Program, console: &dyn Console) {
         if let Some(Listening { name, endpoint: Some(endpoint), .. }) = &self.listening {
