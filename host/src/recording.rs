@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::codec;
-use armarium_robot::{Kinematics, Model, Robot};
+use armarium_robot::{Kinematics, Robot};
 use armarium_simulator::physics::PressedLoad;
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
@@ -255,7 +255,7 @@ pub(crate) fn record_robot(
     sensor: Option<usize>,
     recorder: SharedRecorder,
 ) -> JoinHandle<()> {
-    let names = joint_names(robot.model());
+    let names: Vec<String> = robot.model().joints().iter().map(|joint| joint.name.clone()).collect();
     let mut sensed = robot.sensed();
     let mut links = Links { kinematics: Kinematics::new(robot.model()), next_ns: 0 };
     tokio::spawn(async move {
@@ -301,11 +301,6 @@ impl Links {
             }
         }
     }
-}
-
-/// The names of the joints in the model's order.
-pub(crate) fn joint_names(model: &Model) -> Vec<String> {
-    model.joints().iter().map(|joint| joint.name.clone()).collect()
 }
 
 #[cfg(test)]

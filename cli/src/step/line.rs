@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use armarium_runtime::program::{EventId, Program};
-use armarium_runtime::stepping::{Sent, StepError, Stepper};
+use armarium_runtime::stepping::{StepError, Stepper};
 use armarium_runtime::test_cases::channel_value;
 use armarium_values::Value;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -192,14 +192,14 @@ fn json(values: BTreeMap<String, Value>) -> BTreeMap<String, serde_json::Value> 
     values.into_iter().map(|(name, value)| (name, value.to_json())).collect()
 }
 
-fn sent_json(sent: &Sent) -> serde_json::Value {
-    serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()})
-}
-
 /// Writes the active states after `event`; before the first event it is null.
 pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> io::Result<()> {
     let snapshot = stepper.snapshot();
     let log = stepper.take_logs();
+    let sent = stepper.take_sent();
+    let sent = sent
+        .iter()
+        .map(|sent| serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()}));
     let answer = Answer {
         event: (!event.is_empty()).then_some(event),
         configuration: snapshot.configuration,
@@ -207,7 +207,7 @@ pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> 
         locals: json(snapshot.locals),
         outputs: json(snapshot.outputs),
         log,
-        sent: stepper.take_sent().iter().map(sent_json).collect(),
+        sent: sent.collect(),
         outcome: stepper.result().map(|r| r.outcome.as_str()),
         reason: stepper.result().and_then(|r| r.reason.as_deref()),
     };
