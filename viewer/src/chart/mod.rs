@@ -69,10 +69,7 @@ pub enum DrawError {
     TooLarge { width: f64, height: f64 },
     /// The image could not be encoded.
     #[error("the image cannot be encoded")]
-    Png {
-        #[source]
-        source: image::ImageError,
-    },
+    Png { source: image::ImageError },
 }
 
 /// The chart in a form, as the content of a file. `theme` applies to SVG and PNG.

@@ -60,33 +60,19 @@ impl Default for RecorderOptions {
 pub enum RecorderError {
     /// The file cannot be created.
     #[error("cannot create the recording `{path}`")]
-    Create {
-        path: String,
-        #[source]
-        source: std::io::Error,
-    },
+    Create { path: String, source: std::io::Error },
     /// The file cannot be written.
     #[error("cannot write the recording")]
     Write {
-        #[source]
+        #[from]
         source: foxglove::FoxgloveError,
     },
     /// Foxglove's WebSocket cannot be served.
     #[error("port {port} of this machine, for Foxglove")]
-    Foxglove {
-        port: u16,
-        #[source]
-        source: foxglove::FoxgloveError,
-    },
+    Foxglove { port: u16, source: foxglove::FoxgloveError },
     /// A message cannot be encoded.
     #[error("cannot encode a message for `{topic}`: {what}")]
     Encode { topic: String, what: String },
-}
-
-impl From<foxglove::FoxgloveError> for RecorderError {
-    fn from(source: foxglove::FoxgloveError) -> Self {
-        Self::Write { source }
-    }
 }
 
 /// The file, which remembers why it could not be written first: what its writers say then is only that they cannot go on.
