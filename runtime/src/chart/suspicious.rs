@@ -237,13 +237,8 @@ impl Suspects<'_, '_> {
                 let message = format!(
                     "the {what} of {own} {unit} in `{name}` has no effect: around it {around} {unit} holds"
                 );
-                self.add(
-                    Severity::Warning,
-                    code::UNUSED,
-                    id,
-                    message,
-                    "an inner state can only tighten limits",
-                );
+                let help = "an inner state can only tighten limits";
+                self.add(Severity::Warning, code::UNUSED, id, message, help);
             }
         }
     }
@@ -266,18 +261,12 @@ impl Suspects<'_, '_> {
                                 names.join(" -> ")
                             ),
                         };
-                        self.add(
-                            Severity::Error,
-                            code::RESTLESS,
-                            next,
-                            message,
-                            "add `if`, or wait with `after`",
-                        );
+                        let help = "add `if`, or wait with `after`";
+                        self.add(Severity::Error, code::RESTLESS, next, message, help);
                         let waits = self.after_for_always(next);
-                        self.findings
-                            .last_mut()
-                            .into_iter()
-                            .for_each(|finding| finding.remedy = waits.clone());
+                        if let Some(finding) = self.findings.last_mut() {
+                            finding.remedy = waits;
+                        }
                     }
                     break;
                 }
