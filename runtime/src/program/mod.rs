@@ -468,6 +468,11 @@ impl Program {
         &self.states[state as usize]
     }
 
+    /// All states but the run itself.
+    pub(crate) fn ids(&self) -> std::ops::Range<StateId> {
+        1..StateId::try_from(self.states.len()).unwrap_or(StateId::MAX)
+    }
+
     /// Whether `inner` is `outer` or inside it.
     pub(crate) fn within(&self, inner: StateId, outer: StateId) -> bool {
         (outer..=self.tables.last(outer)).contains(&inner)

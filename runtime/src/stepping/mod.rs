@@ -177,7 +177,8 @@ impl Stepper {
 
     /// Raises an event that all active states see.
     pub fn event(&mut self, name: &str, data: Value) {
-        self.tell(Input::Event { name: name.to_owned(), data });
+        self.turn(Input::Event { name: name.to_owned(), data });
+        self.settle();
     }
 
     /// As [`Stepper::event`], for an event whose number is known (see [`Program::event`]).
@@ -344,11 +345,6 @@ impl Stepper {
         let named = |watch: &u32| program.event_names.name(program.watches[*watch as usize].name) == name;
         let watch = watches.find(named)?;
         Some((watch, self.agenda.armed(watch)?))
-    }
-
-    fn tell(&mut self, input: Input) {
-        self.turn(input);
-        self.settle();
     }
 
     fn turn(&mut self, input: Input) {

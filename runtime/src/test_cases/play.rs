@@ -167,7 +167,7 @@ impl Player<'_> {
     fn advance(&mut self, by: Duration) -> Result<(), CaseError> {
         let end = self.stepper.now() + by;
         loop {
-            self.plan()?;
+            self.plan();
             // What the chart does by itself on the way may start skills, whose endings are planned from then.
             let ending = self.endings.first_key_value().map(|(key, _)| *key);
             let own = self.stepper.next_instant().filter(|at| *at <= end);
@@ -186,14 +186,14 @@ impl Player<'_> {
             self.stepper.report(&running.path, &ending.outcome, data)?;
         }
         self.stepper.advance(end.saturating_sub(self.stepper.now()));
-        self.plan()?;
+        self.plan();
         self.logs.extend(self.stepper.take_logs());
         self.sent.extend(self.stepper.take_sent().into_iter().map(|sent| sent.event));
         Ok(())
     }
 
     /// Looks up how skills that were started end.
-    fn plan(&mut self) -> Result<(), CaseError> {
+    fn plan(&mut self) {
         for running in self.stepper.running() {
             if !self.known.insert(running.activation) {
                 continue;
@@ -213,7 +213,6 @@ impl Player<'_> {
             let at = self.stepper.now() + duration(ending.after);
             self.endings.insert((at, running.activation), (running, ending));
         }
-        Ok(())
     }
 
     /// What a skill gives: what is scripted, and something of the declared type for the rest.
