@@ -263,9 +263,8 @@ async fn deliver_all(
 ) {
     while let Some(sent) = events.recv().await {
         // What arrives and is not taken is no failure of the sender: nobody waits for it there now.
-        let delivered = transport.deliver(sent.clone()).await;
-        if let Err(why) = delivered
-            .or_else(|why| if matches!(why, DeliveryError::Dropped { .. }) { Ok(()) } else { Err(why) })
+        if let Err(why) = transport.deliver(sent.clone()).await
+            && !matches!(why, DeliveryError::Dropped { .. })
         {
             // If the run has ended, there is no receiver for this message.
             let _ = queue.send(undelivered(&sent, &why.to_string())).await.is_ok();
