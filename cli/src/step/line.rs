@@ -39,23 +39,12 @@ pub(super) struct InputLine {
     what: LineInput,
 }
 
+/// What a line says; the chart's number of an event is there once it was looked up.
 #[derive(Clone, Debug, PartialEq)]
 enum LineInput {
-    /// With the chart's number of the event, once it was looked up.
-    Event {
-        name: String,
-        data: Value,
-        number: Option<EventId>,
-    },
-    Report {
-        from: String,
-        name: String,
-        data: Value,
-    },
-    Publish {
-        channel: String,
-        value: Value,
-    },
+    Event { name: String, data: Value, number: Option<EventId> },
+    Report { from: String, name: String, data: Value },
+    Publish { channel: String, value: Value },
     Nothing,
 }
 

@@ -108,27 +108,16 @@ pub(crate) struct Variable {
     pub(crate) slot: u32,
 }
 
+/// What a state is. A chart is its state's only child.
 #[derive(Debug)]
 pub(crate) enum Kind {
     Atomic,
-    Skill {
-        manifest: Arc<SkillManifest>,
-    },
-    /// Another chart inside this state, as its only child.
-    Chart {
-        instance: u32,
-    },
-    Composite {
-        initial: Entry,
-    },
+    Skill { manifest: Arc<SkillManifest> },
+    Chart { instance: u32 },
+    Composite { initial: Entry },
     Parallel,
-    Final {
-        outcome: EventNumber,
-    },
-    History {
-        deep: bool,
-        default: Entry,
-    },
+    Final { outcome: EventNumber },
+    History { deep: bool, default: Entry },
 }
 
 /// The states that are entered by default, and the actions that run then.
