@@ -137,7 +137,7 @@ fn show(
             writeln!(out, "    {name}: {lower:.3} to {upper:.3} {unit}, {} {unit}/s", joint.velocity)?;
         }
     }
-    let q = match posture {
+    let q: &[f64] = match posture {
         None => model.start(),
         Some(name) => model.postures().get(name).ok_or_else(|| {
             let known = model.postures().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
