@@ -34,80 +34,41 @@ impl Default for Bounds {
 /// Why encoding or decoding failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum CodecError {
     /// The value's own serialisation failed.
     #[error("the value cannot be encoded: {what}")]
-    Encode {
-        /// Its message.
-        what: String,
-    },
+    Encode { what: String },
     /// More bytes than the limit.
     #[error("{bytes} bytes are more than the {most} that are accepted")]
-    TooLong {
-        /// The number of bytes.
-        bytes: usize,
-        /// The limit.
-        most: usize,
-    },
+    TooLong { bytes: usize, most: usize },
     /// The encoding ends inside an item.
     #[error("the encoding ends too early")]
     Truncated,
     /// More items than the limit.
     #[error("more than {most} items")]
-    TooMany {
-        /// The limit.
-        most: usize,
-    },
+    TooMany { most: usize },
     /// Containers nested deeper than the limit.
     #[error("nested deeper than {most} levels, at byte {at}")]
-    TooDeep {
-        /// The limit, levels.
-        most: usize,
-        /// The position, bytes.
-        at: usize,
-    },
+    TooDeep { most: usize, at: usize },
     /// Bytes that are not CBOR, or a kind of CBOR that is not used here.
     #[error("byte {at} starts no item that is understood here")]
-    Malformed {
-        /// The position, bytes.
-        at: usize,
-    },
+    Malformed { at: usize },
     /// Something follows the item.
     #[error("{bytes} bytes follow the encoded item")]
-    Trailing {
-        /// The number of bytes.
-        bytes: usize,
-    },
+    Trailing { bytes: usize },
     /// An item of another type than expected.
     #[error("the content does not fit: {what}")]
-    Content {
-        /// The difference.
-        what: String,
-    },
+    Content { what: String },
     /// An encoding that is not CBOR with a schema.
     #[error("`{encoding}` does not name a schema as `application/cbor;NAME;vN` does")]
-    NoSchema {
-        /// The encoding.
-        encoding: String,
-    },
+    NoSchema { encoding: String },
     /// Another schema than expected.
     #[error("the payload is a `{found}`, not a `{expected}`")]
-    OtherSchema {
-        /// The expected schema.
-        expected: String,
-        /// The schema found.
-        found: String,
-    },
+    OtherSchema { expected: String, found: String },
     /// Another version of the schema.
     #[error("the payload is version {found} of `{name}`; this side understands version {expected}")]
-    OtherVersion {
-        /// The schema.
-        name: String,
-        /// The supported version.
-        expected: u32,
-        /// The received version.
-        found: u32,
-    },
+    OtherVersion { name: String, expected: u32, found: u32 },
 }
 
 /// Encodes a value.

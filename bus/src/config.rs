@@ -85,11 +85,7 @@ impl SessionConfig {
         files.filter_map(|file| file.split(['?', '#']).next())
     }
 
-    /// Zenoh's configuration.
-    ///
-    /// # Errors
-    /// [`SessionError::OffLoopback`] when an address is off this machine without `off_loopback`;
-    /// [`SessionError::Config`] when Zenoh rejects a value.
+    /// Zenoh's configuration. Refuses an address off this machine without `off_loopback`.
     pub(crate) fn to_zenoh(&self) -> Result<zenoh::Config, SessionError> {
         if !self.off_loopback {
             if let Some(endpoint) = self.listen.iter().chain(&self.connect).find(|e| !is_loopback(e)) {

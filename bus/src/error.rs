@@ -3,44 +3,26 @@
 /// An error of a session.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum SessionError {
     /// The tokio runtime is not multi-threaded.
     #[error("a session needs a multi-threaded tokio runtime")]
     Runtime,
     /// An address off this machine.
     #[error("`{endpoint}` reaches beyond this machine, which has to be asked for")]
-    OffLoopback {
-        /// The address.
-        endpoint: String,
-    },
+    OffLoopback { endpoint: String },
     /// A setting that Zenoh rejects.
     #[error("the session's configuration is not accepted: {what}")]
-    Config {
-        /// The setting and the reason.
-        what: String,
-    },
+    Config { what: String },
     /// Zenoh failed.
     #[error("Zenoh failed: {what}")]
-    Zenoh {
-        /// Its message.
-        what: String,
-    },
+    Zenoh { what: String },
     /// No answer within the timeout.
     #[error("nobody answered `{key}` within {seconds} s")]
-    NoReply {
-        /// The queried key.
-        key: String,
-        /// The timeout, s.
-        seconds: u64,
-    },
+    NoReply { key: String, seconds: u64 },
     /// More answers than the limit.
     #[error("`{key}` has more answers than the {most} that are accepted")]
-    TooManyReplies {
-        /// The queried key.
-        key: String,
-        /// The limit.
-        most: usize,
-    },
+    TooManyReplies { key: String, most: usize },
 }
 
 impl From<crate::KeyError> for SessionError {

@@ -67,161 +67,64 @@ fn pattern(parts: &[Part<'_>]) -> Result<KeyPattern, KeyError> {
     Ok(KeyPattern(parts.iter().map(|part| part.unwrap_or("*")).collect::<Vec<_>>().join("/")))
 }
 
-/// The queryable for commits with an answer.
-///
-/// # Errors
-/// [`KeyError`] when a name cannot be part of a key; the same for all functions here.
-pub fn memory_commit(agent: &str) -> Result<Key, KeyError> {
-    key(&[agent, "memory"])
+/// Functions by their arguments and the parts of the key or pattern that they make of them.
+macro_rules! keys {
+    ($(
+        $(#[doc = $doc:literal])*
+        $name:ident($($arg:ident: $of:ty),*) -> $Made:ident = $make:ident[$($part:expr),*];
+    )*) => {$(
+        $(#[doc = $doc])*
+        ///
+        /// # Errors
+        /// [`KeyError`] when a name cannot be part of a key.
+        pub fn $name($($arg: $of),*) -> Result<$Made, KeyError> {
+            $make(&[$($part),*])
+        }
+    )*};
 }
 
-/// The queryable for one writer's commits: access rules can admit that writer only.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn memory_by(agent: &str, writer: &str) -> Result<Key, KeyError> {
-    key(&[agent, "memory", "by", writer])
-}
-
-/// The queryables for the commits of all named writers.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn memory_by_pattern(agent: &str) -> Result<KeyPattern, KeyError> {
-    pattern(&[Some(agent), Some("memory"), Some("by"), None])
-}
-
-/// The key on which a memory publishes its changes in order.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn memory_all_changes(agent: &str) -> Result<Key, KeyError> {
-    key(&[agent, "memory", "changes"])
-}
-
-/// The key on which a memory publishes the changes of one core segment in order.
-///
-/// # Errors
-/// [`KeyError`] when a name cannot be part of a key.
-pub fn memory_changes_of(agent: &str, segment: &str) -> Result<Key, KeyError> {
-    key(&[agent, "memory", "changes", segment])
-}
-
-/// The keys on which a memory publishes the changes of a core segment, or of each of them.
-///
-/// # Errors
-/// [`KeyError`] when a name cannot be part of a key.
-pub fn memory_changes(agent: &str, segment: Option<&str>) -> Result<KeyPattern, KeyError> {
-    pattern(&[Some(agent), Some("memory"), Some("changes"), segment])
-}
-
-/// One entity in an agent's memory.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn memory(agent: &str, segment: &str, provider: &str, entity: &str) -> Result<Key, KeyError> {
-    key(&[agent, "memory", segment, provider, entity])
-}
-
-/// Entities in the memory of one agent or of all.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn memory_pattern(
-    agent: Part<'_>,
-    segment: Part<'_>,
-    provider: Part<'_>,
-    entity: Part<'_>,
-) -> Result<KeyPattern, KeyError> {
-    pattern(&[agent, Some("memory"), segment, provider, entity])
-}
-
-/// The frames of an image provider.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn image(agent: &str, provider: &str) -> Result<Key, KeyError> {
-    key(&[agent, "image", provider])
-}
-
-/// The frames of an image provider as PNG or JPEG files.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn image_coded(agent: &str, provider: &str, coding: &str) -> Result<Key, KeyError> {
-    key(&[agent, "image", provider, coding])
-}
-
-/// Matching image providers.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn image_pattern(agent: Part<'_>, provider: Part<'_>) -> Result<KeyPattern, KeyError> {
-    pattern(&[agent, Some("image"), provider])
-}
-
-/// A chart or skill of an agent that others may start.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn chart(agent: &str, chart: &str) -> Result<Key, KeyError> {
-    key(&[agent, "chart", chart])
-}
-
-/// The queryable for events to an agent's charts.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn event(agent: &str) -> Result<Key, KeyError> {
-    key(&[agent, "event"])
-}
-
-/// The charts and skills that agents offer.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn chart_pattern(agent: Part<'_>, chart: Part<'_>) -> Result<KeyPattern, KeyError> {
-    pattern(&[agent, Some("chart"), chart])
-}
-
-/// A part of a driver of joints: `description`, `sample`, `targets` or `claim`.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn drive(agent: &str, driver: &str, part: &str) -> Result<Key, KeyError> {
-    key(&[agent, "drive", driver, part])
-}
-
-/// A part of a robot behind its guard: `description`, `state`, `lease`, `command` or `do`.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn robot(agent: &str, robot: &str, part: &str) -> Result<Key, KeyError> {
-    key(&[agent, "robot", robot, part])
-}
-
-/// A part of an agent's live page: `page` is asked for what the page shows, on `news` it says what is new.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn live(agent: &str, part: &str) -> Result<Key, KeyError> {
-    key(&[agent, "live", part])
-}
-
-/// The liveliness token of a service of an agent.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn alive(agent: &str, service: &str) -> Result<Key, KeyError> {
-    key(&[agent, "alive", service])
-}
-
-/// The liveliness tokens of matching services.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn alive_pattern(agent: Part<'_>, service: Part<'_>) -> Result<KeyPattern, KeyError> {
-    pattern(&[agent, Some("alive"), service])
+keys! {
+    /// The queryable for commits with an answer.
+    memory_commit(agent: &str) -> Key = key[agent, "memory"];
+    /// The queryable for one writer's commits: access rules can admit that writer only.
+    memory_by(agent: &str, writer: &str) -> Key = key[agent, "memory", "by", writer];
+    /// The queryables for the commits of all named writers.
+    memory_by_pattern(agent: &str) -> KeyPattern = pattern[Some(agent), Some("memory"), Some("by"), None];
+    /// The key on which a memory publishes its changes in order.
+    memory_all_changes(agent: &str) -> Key = key[agent, "memory", "changes"];
+    /// The key on which a memory publishes the changes of one core segment in order.
+    memory_changes_of(agent: &str, segment: &str) -> Key = key[agent, "memory", "changes", segment];
+    /// The keys on which a memory publishes the changes of a core segment, or of each of them.
+    memory_changes(agent: &str, segment: Option<&str>) -> KeyPattern
+        = pattern[Some(agent), Some("memory"), Some("changes"), segment];
+    /// One entity in an agent's memory.
+    memory(agent: &str, segment: &str, provider: &str, entity: &str) -> Key
+        = key[agent, "memory", segment, provider, entity];
+    /// Entities in the memory of one agent or of all.
+    memory_pattern(agent: Part<'_>, segment: Part<'_>, provider: Part<'_>, entity: Part<'_>) -> KeyPattern
+        = pattern[agent, Some("memory"), segment, provider, entity];
+    /// The frames of an image provider.
+    image(agent: &str, provider: &str) -> Key = key[agent, "image", provider];
+    /// The frames of an image provider as PNG or JPEG files.
+    image_coded(agent: &str, provider: &str, coding: &str) -> Key = key[agent, "image", provider, coding];
+    /// Matching image providers.
+    image_pattern(agent: Part<'_>, provider: Part<'_>) -> KeyPattern = pattern[agent, Some("image"), provider];
+    /// A chart or skill of an agent that others may start.
+    chart(agent: &str, chart: &str) -> Key = key[agent, "chart", chart];
+    /// The queryable for events to an agent's charts.
+    event(agent: &str) -> Key = key[agent, "event"];
+    /// The charts and skills that agents offer.
+    chart_pattern(agent: Part<'_>, chart: Part<'_>) -> KeyPattern = pattern[agent, Some("chart"), chart];
+    /// A part of a driver of joints: `description`, `sample`, `targets` or `claim`.
+    drive(agent: &str, driver: &str, part: &str) -> Key = key[agent, "drive", driver, part];
+    /// A part of a robot behind its guard: `description`, `state`, `lease`, `command` or `do`.
+    robot(agent: &str, robot: &str, part: &str) -> Key = key[agent, "robot", robot, part];
+    /// A part of an agent's live page: `page` is asked for what the page shows, on `news` it says what is new.
+    live(agent: &str, part: &str) -> Key = key[agent, "live", part];
+    /// The liveliness token of a service of an agent.
+    alive(agent: &str, service: &str) -> Key = key[agent, "alive", service];
+    /// The liveliness tokens of matching services.
+    alive_pattern(agent: Part<'_>, service: Part<'_>) -> KeyPattern = pattern[agent, Some("alive"), service];
 }
 
 impl Key {

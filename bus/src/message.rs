@@ -34,16 +34,12 @@ pub struct Message {
 
 /// An answer to a query.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Reply {
     /// The result.
     Message(Message),
     /// The other side refuses; the payload gives the reason.
-    Refusal {
-        /// The payload's encoding.
-        encoding: String,
-        /// The reason.
-        payload: Vec<u8>,
-    },
+    Refusal { encoding: String, payload: Vec<u8> },
 }
 
 /// A subscription and its queue. When the queue is full, new messages are dropped.

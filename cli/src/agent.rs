@@ -13,7 +13,6 @@ use crate::logging;
 use crate::memory::keep::KeepArgs;
 use crate::stopped::{stopped, stopped_or_input_ended};
 
-/// Arguments of `agent`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct AgentArgs {
     /// The name by which other agents call it.
@@ -65,9 +64,6 @@ pub(crate) struct AgentArgs {
 
 /// Serves until Ctrl-C. Returns the exit status: 0 when it was ended so, 1 when its chart has failed, 2 when it could
 /// not start.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &AgentArgs, out: &mut dyn Write) -> io::Result<u8> {
     let config = match logging::check_environment().and_then(|()| config(args)) {
         Ok(config) => config,

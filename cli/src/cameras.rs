@@ -11,7 +11,6 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::{Terminal, refuse};
 use crate::stopped::stopped;
 
-/// Arguments of `cameras`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct CamerasArgs {
     /// The name by which a run addresses them.
@@ -28,9 +27,6 @@ pub(crate) struct CamerasArgs {
 }
 
 /// Renders the scenes of runs until Ctrl-C. Returns the exit status.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &CamerasArgs, out: &mut dyn Write) -> io::Result<u8> {
     let session = match args.connection.config() {
         Ok(session) => SessionConfig { shared_memory: true, ..session },

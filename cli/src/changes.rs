@@ -15,9 +15,6 @@ type Stamps = BTreeMap<PathBuf, (Option<SystemTime>, u64)>;
 
 /// Does the work now, and again whenever one of the files, or a YAML file beside them or in `folders`, changes. Ends
 /// only with the program, or when `out` cannot be written.
-///
-/// # Errors
-/// When `out` cannot be written, or no runtime can be made.
 pub(crate) fn follow(
     files: &[PathBuf],
     folders: &[PathBuf],

@@ -12,7 +12,6 @@ use serde_json::{Value as Json, json};
 use crate::charts::{Charts, missing, within_reach};
 use crate::type_json::type_json;
 
-/// Arguments of `channels`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ChannelsArgs {
     /// Folders with charts, besides the current one: what they declare and read is listed, too.
@@ -33,9 +32,6 @@ struct Listed {
 }
 
 /// Writes the channels. Returns the exit status: 2 when a folder is not there.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &ChannelsArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Some(folder) = missing(&args.charts) {
         return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);

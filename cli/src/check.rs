@@ -8,7 +8,6 @@ use armarium_source::{Disk, Finding};
 
 use crate::render_findings::{render, summary};
 
-/// What `check` takes.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct CheckArgs {
     /// Charts, worlds, test cases, object classes and scenes; which one a file is, it says itself.
@@ -31,16 +30,12 @@ pub(crate) struct CheckArgs {
 /// How the output is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Style {
-    /// Whether the place shows colours.
     pub(crate) colour: bool,
     /// Its width in columns.
     pub(crate) width: usize,
 }
 
 /// Checks all files against the skills and channels of `catalog`, and writes what is found. Returns the exit status: 2 when there is an error, otherwise 0.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &CheckArgs, style: Style, catalog: &Catalog, out: &mut dyn Write) -> io::Result<u8> {
     if args.watch {
         return crate::changes::follow(&args.files, &args.charts, out, |out| once(args, style, catalog, out));

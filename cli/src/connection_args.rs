@@ -64,9 +64,6 @@ pub(crate) struct LiveArgs {
 
 impl LiveArgs {
     /// Where the page is served.
-    ///
-    /// # Errors
-    /// For people: when the certificate cannot be used.
     pub(crate) fn address(&self, connection: &ConnectionArgs) -> Result<PageAddress, CertificateError> {
         match (self.live_address, &connection.certificate, &connection.key) {
             (Some(ip), Some(certificate), Some(key)) => {
@@ -98,10 +95,7 @@ impl ConnectionArgs {
         !self.connect.is_empty() || !self.listen.is_empty()
     }
 
-    /// Opens a session on this runtime, with access rules if there are any.
-    ///
-    /// # Errors
-    /// As [`Session::open`]; [`explained`] makes a sentence for people from it.
+    /// Opens a session on this runtime, with access rules if there are any. Of an error, [`explained`] makes a sentence for people.
     pub(crate) async fn session(&self, access: Option<&Access>) -> Result<Session, SessionError> {
         let mut config = self.config()?;
         let no_name = |error: KeyError| SessionError::Config { what: error.to_string() };
@@ -109,10 +103,7 @@ impl ConnectionArgs {
         Session::open(&config).await
     }
 
-    /// The options as the configuration of a session.
-    ///
-    /// # Errors
-    /// [`SessionError::Config`] for an invalid endpoint, or a missing file.
+    /// The options as the configuration of a session; an invalid endpoint or a missing file is refused.
     pub(crate) fn config(&self) -> Result<SessionConfig, SessionError> {
         let mut config = SessionConfig::connected_to(&self.connect);
         if !self.listen.is_empty() {

@@ -116,9 +116,6 @@ impl Console for JsonLines {
 }
 
 /// Prints why nothing was done. Returns the exit status 2.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn refuse(error: &HostError, out: &mut dyn Write) -> io::Result<u8> {
     match error {
         HostError::Findings(findings) => show(findings, out)?,
@@ -129,9 +126,6 @@ pub(crate) fn refuse(error: &HostError, out: &mut dyn Write) -> io::Result<u8> {
 }
 
 /// Prints findings with their places, and their number.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn show(findings: &[Finding], out: &mut dyn Write) -> io::Result<()> {
     let colour = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     write!(out, "{}", render(findings, colour, 100))?;

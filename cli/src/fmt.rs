@@ -7,7 +7,6 @@ use armarium_source::{Finding, Source};
 
 use crate::console;
 
-/// Arguments of `fmt`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct FmtArgs {
     /// Charts, worlds, test cases and files of prior knowledge.
@@ -20,9 +19,6 @@ pub(crate) struct FmtArgs {
 
 /// Writes the files that have another form, or lists them. Returns the exit status: 2 when a file cannot be read, is no YAML or
 /// cannot be written, 1 when `--check` finds one that has another form, otherwise 0.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &FmtArgs, out: &mut dyn Write) -> io::Result<u8> {
     let mut status = 0;
     for file in &args.files {

@@ -10,7 +10,6 @@ use armarium_viewer::chart::{Format, Theme, Unfold, fold, levels, levels_that_fi
 
 use crate::{changes, console};
 
-/// Arguments of `graph`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GraphArgs {
     /// The chart.
@@ -65,9 +64,6 @@ pub(crate) enum ThemeArg {
 
 /// Draws the chart; with `watch`, after each change. Returns the exit status: 2 when the chart cannot be read or the
 /// file cannot be written.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
     if args.watch {
         let charts = std::slice::from_ref(&args.chart);

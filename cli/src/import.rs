@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use armarium_runtime::import;
 
-/// Arguments of `import`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ImportArgs {
     /// An SCXML document.
@@ -15,9 +14,6 @@ pub(crate) struct ImportArgs {
 
 /// Writes the chart to `out`, and what cannot be converted to `err`. Returns the exit status: 2 if anything could not
 /// be converted.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &ImportArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let shown = args.file.display();
     let text = match read(&args.file) {

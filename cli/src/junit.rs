@@ -11,9 +11,7 @@ use std::time::Duration;
 /// The results of one file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Suite {
-    /// The file.
     pub(crate) file: String,
-    /// Its cases, in their order.
     pub(crate) cases: Vec<Case>,
 }
 
@@ -24,11 +22,9 @@ pub(crate) struct Case {
     pub(crate) name: String,
     /// How long it took by the wall's clock.
     pub(crate) took: Duration,
-    /// How it went.
     pub(crate) verdict: Verdict,
 }
 
-/// How a case went.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Verdict {
     /// As expected.
@@ -59,9 +55,6 @@ impl Suite {
 }
 
 /// Writes the results to a file; makes its folder where it is missing.
-///
-/// # Errors
-/// When the folder or the file cannot be written.
 pub(crate) fn write(file: &Path, suites: &[Suite]) -> io::Result<()> {
     if let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder)?;
@@ -69,7 +62,6 @@ pub(crate) fn write(file: &Path, suites: &[Suite]) -> io::Result<()> {
     std::fs::write(file, xml(suites))
 }
 
-/// The results as a document.
 fn xml(suites: &[Suite]) -> String {
     let mut out = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     // Writing into a `String` cannot fail.

@@ -48,17 +48,11 @@ fn subscriber(
 }
 
 /// Checks that `RUST_LOG` can be parsed.
-///
-/// # Errors
-/// The error in it.
 pub(crate) fn check_environment() -> Result<(), String> {
     filter(std::env::var("RUST_LOG").ok().as_deref(), false).map(drop)
 }
 
 /// Installs the subscriber; a second call in one process changes nothing.
-///
-/// # Errors
-/// When `RUST_LOG` cannot be parsed.
 pub(crate) fn install(
     progress: &Progress,
     clock: WorldClock,
@@ -73,9 +67,6 @@ pub(crate) fn install(
 
 /// Installs a subscriber that prints to the standard error output, with the time of day: for a program without a
 /// robot.
-///
-/// # Errors
-/// When `RUST_LOG` cannot be parsed.
 pub(crate) fn install_dated() -> Result<(), String> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), false)?;
     let dated =

@@ -10,7 +10,6 @@ use armarium_source::Finding;
 
 use crate::console;
 
-/// Arguments of `lsp`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LspArgs {
     /// Folders where charts find other charts by name, besides their own.
@@ -26,9 +25,6 @@ pub(crate) struct LspArgs {
 
 /// The skills and channels that ship, for reading their declarations, and the names that exist before a run, also in
 /// `worlds`.
-///
-/// # Errors
-/// Everything that is wrong with the worlds.
 pub(crate) fn known(worlds: &[PathBuf]) -> Result<Catalog, Vec<Finding>> {
     let worlds: Vec<World> = worlds.iter().map(|file| World::load(file, 1)).collect::<Result<_, _>>()?;
     Ok(Catalog { registry: catalog::checking_registry(&worlds), channels: catalog::channels() })
@@ -36,9 +32,6 @@ pub(crate) fn known(worlds: &[PathBuf]) -> Result<Catalog, Vec<Finding>> {
 
 /// Serves an editor until it says `exit`. Returns the exit status: 1 when the editor breaks the protocol, 2 when a world is
 /// wrong.
-///
-/// # Errors
-/// When `err` cannot be written.
 pub(crate) fn run(args: &LspArgs, err: &mut dyn Write) -> io::Result<u8> {
     let known = match known(&args.worlds) {
         Ok(known) => known,

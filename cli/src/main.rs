@@ -11,6 +11,7 @@ mod check;
 mod connection_args;
 mod console;
 mod described;
+mod failure;
 mod fmt;
 mod graph;
 mod image;

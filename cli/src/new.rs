@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use armarium_editor::FileKind;
 
-/// Arguments of `new`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct NewArgs {
     /// The folder to write into; it is created if it does not exist.
@@ -50,9 +49,6 @@ const SCHEMAS: [(&str, FileKind); 5] = [
 
 /// Writes the files and prints what to do with them. Returns the exit status: 2 when one of the files exists or
 /// cannot be written, otherwise 0.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &NewArgs, out: &mut dyn Write) -> io::Result<u8> {
     let dir = &args.dir;
     let files = if args.skill { SKILL } else { CHART };

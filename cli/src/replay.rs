@@ -8,7 +8,6 @@ use armarium_values::Type;
 
 use crate::console;
 
-/// Arguments of `replay`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
     /// A record that `run --record FILE` wrote.
@@ -29,9 +28,6 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Feeds the record to the engine. Returns the exit status: 0 when it passes through the same states, 1 when it does
 /// not, 2 when the record or its chart cannot be used.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &ReplayArgs, out: &mut dyn Write) -> io::Result<u8> {
     let replay = match Replay::open(&args.run) {
         Ok(replay) => replay,

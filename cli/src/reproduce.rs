@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use armarium_experiments::{Entry, ExperimentError, ExperimentResult, SettingInfo, all, save};
 use armarium_values::expr::nearest;
 
-/// Arguments of `reproduce`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_long_help = long_listing())]
 pub(crate) struct ReproduceArgs {
@@ -28,9 +27,6 @@ fn split(text: &str) -> Result<(String, String), String> {
 }
 
 /// Runs the experiment. Returns the exit status: 0, 1 when it fails, 2 when its name or a setting is invalid.
-///
-/// # Errors
-/// When `out` or the files cannot be written.
 pub(crate) fn run(args: &ReproduceArgs, out: &mut dyn Write) -> io::Result<u8> {
     let entries = all();
     let Some(name) = &args.name else {

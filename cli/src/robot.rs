@@ -11,10 +11,10 @@ use armarium_visionx::{PinholeCamera, annotate};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::console::show as render;
-use crate::described::{described, refuse};
+use crate::described::described;
+use crate::failure::Failure;
 use crate::robot_service::{self, ScaleArgs, ServeArgs, TestArgs};
 
-/// Arguments of `robot`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RobotArgs {
     #[command(subcommand)]
@@ -73,24 +73,21 @@ enum RobotCommand {
 }
 
 /// Runs the subcommand. Returns the exit status: 2 when a file cannot be used.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &RobotArgs, out: &mut dyn Write) -> io::Result<u8> {
-    match &args.command {
+    carry_out(&args.command, out).or_else(|failure| failure.say(out))
+}
+
+fn carry_out(command: &RobotCommand, out: &mut dyn Write) -> Result<u8, Failure> {
+    match command {
         RobotCommand::New { urdf, out: folder, semantics, packages, force } => {
             new((urdf, semantics.as_deref()), folder.as_deref(), packages, *force, out)
         }
-        RobotCommand::Check { robot, packages } => match described(robot, packages) {
-            Ok(found) => check(&found, out),
-            Err(wrong) => refuse(&wrong, out),
-        },
-        RobotCommand::Show { robot, output, posture } => match described(robot, &[]) {
-            Ok(found) => show(&found.model, output.as_deref(), posture.as_deref(), out),
-            Err(wrong) => refuse(&wrong, out),
-        },
-        RobotCommand::List => list(out),
-        RobotCommand::Serve(args) => robot_service::serve(args, out),
+        RobotCommand::Check { robot, packages } => Ok(check(&described(robot, packages)?, out)?),
+        RobotCommand::Show { robot, output, posture } => {
+            show(&described(robot, &[])?.model, output.as_deref(), posture.as_deref(), out)
+        }
+        RobotCommand::List => Ok(list(out)?),
+        RobotCommand::Serve(args) => robot_service::serve(args),
         RobotCommand::Test(args) => robot_service::test(args, out),
         RobotCommand::Scale(args) => robot_service::scale(args, out),
     }
@@ -102,20 +99,16 @@ fn new(
     packages: &[PathBuf],
     force: bool,
     out: &mut dyn Write,
-) -> io::Result<u8> {
+) -> Result<u8, Failure> {
     let folder = folder.or(urdf.parent()).unwrap_or(Path::new("")).to_owned();
-    let text = match description::guessed(urdf, semantics, &folder, packages) {
-        Ok(text) => text,
-        Err(wrong) => return refuse(&wrong, out),
-    };
+    let text = description::guessed(urdf, semantics, &folder, packages)?;
     let file = folder.join("robot.yaml");
     if file.exists() && !force {
-        return writeln!(out, "error: {} is there already; --force overwrites it", file.display())
-            .map(|()| 2);
+        return Err(format!("{} is there already; --force overwrites it", file.display()).into());
     }
-    if let Err(error) = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&file, text)) {
-        return writeln!(out, "error: {} cannot be written: {error}", file.display()).map(|()| 2);
-    }
+    std::fs::create_dir_all(&folder)
+        .and_then(|()| std::fs::write(&file, text))
+        .map_err(|error| format!("{} cannot be written: {error}", file.display()))?;
     writeln!(out, "{}: look at what it guessed, then `armarium robot check {0}`", file.display())?;
     Ok(0)
 }
@@ -134,7 +127,7 @@ fn show(
     picture: Option<&Path>,
     posture: Option<&str>,
     out: &mut dyn Write,
-) -> io::Result<u8> {
+) -> Result<u8, Failure> {
     writeln!(out, "{}: {} links, {} joints", model.name(), model.links().len(), model.joints().len())?;
     for limb in model.limbs().values() {
         writeln!(out, "  {}", limb.name)?;
@@ -144,24 +137,21 @@ fn show(
             writeln!(out, "    {name}: {lower:.3} to {upper:.3} {unit}, {} {unit}/s", joint.velocity)?;
         }
     }
-    let q = match posture {
+    let q: &[f64] = match posture {
         None => model.start(),
-        Some(name) => match model.postures().get(name) {
-            Some(q) => q,
-            None => {
-                let known = model.postures().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-                return writeln!(out, "error: there is no posture `{name}`; there are: {known}").map(|()| 2);
-            }
-        },
+        Some(name) => model.postures().get(name).ok_or_else(|| {
+            let known = model.postures().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+            format!("there is no posture `{name}`; there are: {known}")
+        })?,
     };
     let Some(picture) = picture else { return Ok(0) };
     let mut kinematics = Kinematics::new(model);
     kinematics.update(q);
     let png = annotate::png(&drawn(&kinematics)).map_err(io::Error::other)?;
-    if let Err(error) = std::fs::write(picture, png) {
-        return writeln!(out, "error: {} cannot be written: {error}", picture.display()).map(|()| 2);
-    }
-    writeln!(out, "drawn to {}", picture.display()).map(|()| 0)
+    std::fs::write(picture, png)
+        .map_err(|error| format!("{} cannot be written: {error}", picture.display()))?;
+    writeln!(out, "drawn to {}", picture.display())?;
+    Ok(0)
 }
 
 /// The robot seen from its front and its left, from as far as it needs.

@@ -11,14 +11,14 @@ use armarium_robot::driver::{Driver as _, DriverClock, GuardedDriver, RemoteDriv
 use armarium_robot::{Guard, GuardConfig, JointKind, Model, RemoteRobot, Robot, conformance};
 
 use crate::connection_args::{ConnectionArgs, LiveArgs, explained};
-use crate::console::{Terminal, refuse};
-use crate::described;
+use crate::console::Terminal;
+use crate::described::described;
+use crate::failure::Failure;
 use crate::stopped::stopped;
 
 /// By what name this program asks for a robot, unless it is told another one.
 const CALLER: &str = "armarium robot";
 
-/// Arguments of `robot serve`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ServeArgs {
     /// The driver (`docs/wire-robot.md`); it may come and go.
@@ -51,7 +51,6 @@ pub(crate) struct ServeArgs {
     connection: ConnectionArgs,
 }
 
-/// Arguments of `robot test`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TestArgs {
     /// The robot behind its guard, or with --driver a driver.
@@ -76,7 +75,6 @@ pub(crate) struct TestArgs {
     connection: ConnectionArgs,
 }
 
-/// Arguments of `robot scale`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ScaleArgs {
     /// The robot behind its guard.
@@ -95,14 +93,8 @@ pub(crate) struct ScaleArgs {
 }
 
 /// Serves until Ctrl-C. Returns the exit status.
-///
-/// # Errors
-/// When `out` cannot be written; the same for all functions here.
-pub(crate) fn serve(args: &ServeArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let Description { model, .. } = match described::described(&args.robot, &[]) {
-        Ok(found) => found,
-        Err(wrong) => return described::refuse(&wrong, out),
-    };
+pub(crate) fn serve(args: &ServeArgs) -> Result<u8, Failure> {
+    let Description { model, .. } = described(&args.robot, &[])?;
     let offered = args.offered.clone().unwrap_or_else(|| args.driver.clone());
     let access = Access {
         own: offered.agent.clone(),
@@ -111,15 +103,10 @@ pub(crate) fn serve(args: &ServeArgs, out: &mut dyn Write) -> io::Result<u8> {
         drivers: args.driven_by.clone(),
         ..Access::default()
     };
-    let connection = match connect(&args.connection, access.is_for_others().then_some(&access)) {
-        Ok(connection) => connection,
-        Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
-    };
+    let connection = connect(&args.connection, access.is_for_others().then_some(&access))?;
     let (driver, speed_scale, dry) = (args.driver.clone(), args.speed_scale, args.dry);
-    let live = match args.live.address(&args.connection) {
-        Ok(address) => Some(address).filter(|_| args.live.live),
-        Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
-    };
+    let address = args.live.address(&args.connection).map_err(|error| error.to_string())?;
+    let live = Some(address).filter(|_| args.live.live);
     let service = RobotService { driver, offered, model, speed_scale, dry, live };
     let console: Arc<dyn Console> = Arc::new(Terminal::for_notes(false));
     let served = connection.runtime().block_on(async {
@@ -132,36 +119,28 @@ pub(crate) fn serve(args: &ServeArgs, out: &mut dyn Write) -> io::Result<u8> {
             failed = service.serve(connection.session(), &console) => failed,
         }
     });
-    served.map_or_else(|error| refuse(&error, out), |()| Ok(0))
+    served.map(|()| 0).map_err(Failure::Host)
 }
 
 /// Says what will be done, and with `--moves` does it. Returns the exit status: 1 when a rule is broken.
-pub(crate) fn test(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let Description { model, .. } = match described::described(&args.robot, &[]) {
-        Ok(found) => found,
-        Err(wrong) => return described::refuse(&wrong, out),
-    };
+pub(crate) fn test(args: &TestArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    let Description { model, .. } = described(&args.robot, &[])?;
     let limbs: Vec<String> = match args.limb.as_slice() {
         [] => model.arms().map(|arm| arm.name.clone()).collect(),
         named => named.to_vec(),
     };
     if let Some(strange) = limbs.iter().find(|limb| model.find_limb(limb).is_none()) {
         let known = model.limbs().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-        return writeln!(out, "error: the robot has no group or hand `{strange}`; it has {known}")
-            .map(|()| 2);
+        return Err(format!("the robot has no group or hand `{strange}`; it has {known}").into());
     }
     explain(&model, &limbs, out)?;
     if !args.moves {
-        return writeln!(out, "Nothing was moved. With --moves this is done.").map(|()| 0);
+        writeln!(out, "Nothing was moved. With --moves this is done.")?;
+        return Ok(0);
     }
-    let connection = match connect(&args.connection, None) {
-        Ok(connection) => connection,
-        Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
-    };
-    match check(args, &connection, &model, &limbs, out) {
-        Ok(checked) => checked,
-        Err(error) => refuse(&error, out),
-    }
+    let connection = connect(&args.connection, None)?;
+    let status = check(args, &connection, &model, &limbs, out).map_err(Failure::Host)?;
+    Ok(status?)
 }
 
 /// What somebody has to know who lets the robot move.
@@ -244,22 +223,15 @@ async fn judge(robot: &Arc<dyn Robot>, limbs: &[String], out: &mut dyn Write) ->
 }
 
 /// Sets the speed scale of a robot. Returns the exit status.
-pub(crate) fn scale(args: &ScaleArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let Description { model, .. } = match described::described(&args.robot, &[]) {
-        Ok(found) => found,
-        Err(wrong) => return described::refuse(&wrong, out),
-    };
-    let connection = match connect(&args.connection, None) {
-        Ok(connection) => connection,
-        Err(error) => return writeln!(out, "error: {error}").map(|()| 2),
-    };
+pub(crate) fn scale(args: &ScaleArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    let Description { model, .. } = described(&args.robot, &[])?;
+    let connection = connect(&args.connection, None)?;
     let Address { agent, name } = &args.at;
     let robot = RemoteRobot::connect(connection.session(), (agent, name), &model, &args.name);
     let set = connection.runtime().block_on(robot).and_then(|robot| robot.set_speed_scale(args.factor));
-    match set {
-        Ok(()) => writeln!(out, "{agent}/{name} moves at {} of what is commanded", args.factor).map(|()| 0),
-        Err(error) => refuse(&error.into(), out),
-    }
+    set.map_err(|error| Failure::Host(error.into()))?;
+    writeln!(out, "{agent}/{name} moves at {} of what is commanded", args.factor)?;
+    Ok(0)
 }
 
 fn connect(args: &ConnectionArgs, access: Option<&Access>) -> Result<Connection, String> {

@@ -16,7 +16,6 @@ use crate::console::{JsonLines, Terminal, refuse};
 use crate::logging;
 use crate::stopped::stopped;
 
-/// Arguments of `run`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RunArgs {
     /// The chart to run.
@@ -146,9 +145,6 @@ fn read_size(text: &str) -> Result<u64, String> {
 
 /// Runs the chart and prints to `out`. Returns the exit status: 0 success, 1 a failed run, 2 an invalid file or
 /// argument.
-///
-/// # Errors
-/// When `out` or a report cannot be written.
 pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Err(error) = logging::check_environment() {
         return writeln!(out, "error: {error}").map(|()| 2);

@@ -4,7 +4,6 @@ use std::io::{self, Write};
 
 use armarium_editor::FileKind;
 
-/// Arguments of `schema`.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct SchemaArgs {
     /// Which schema.
@@ -30,9 +29,6 @@ pub(crate) enum SchemaOf {
 }
 
 /// Writes the schema. Returns the exit status 0.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let kind = match args.of {
         SchemaOf::World => FileKind::World,

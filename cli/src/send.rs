@@ -9,7 +9,6 @@ use armarium_values::Value;
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::refuse;
 
-/// Arguments of `send`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     armarium run offer.yaml --name offer --listen tcp/127.0.0.1:7447\n  \
@@ -37,9 +36,6 @@ fn read_data(text: &str) -> Result<serde_json::Value, String> {
 
 /// Sends the event. Returns the exit status: 0 when a chart took it, 1 when it was refused or nobody answered, 2 when
 /// an argument is wrong.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &SendArgs, out: &mut dyn Write) -> io::Result<u8> {
     if !args.connection.is_given() {
         let whom = args.to.as_ref().map_or_else(|| "the agent".to_owned(), |to| format!("`{to}`"));

@@ -14,7 +14,6 @@ use crate::charts::{missing, within_reach};
 use crate::console::refuse;
 use crate::type_json::type_json;
 
-/// Arguments of `skills`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SkillsArgs {
     /// Only these skills and charts.
@@ -38,9 +37,6 @@ struct Listed<'l> {
 }
 
 /// Writes the skills, then the charts. Returns the exit status: 2 when a name or a folder is unknown.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &SkillsArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Some(folder) = missing(&args.charts) {
         return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);

@@ -10,7 +10,6 @@ use serde_json::json;
 use crate::console::{refuse, show};
 use crate::run::parse_input;
 
-/// Arguments of `sweep`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     armarium sweep statecharts/wiping.yaml --seeds 1..20\n  \
@@ -99,9 +98,6 @@ impl SweepArgs {
 }
 
 /// Runs the sweep and prints to `out`. Returns the exit status: 0 when all runs hold, 1 when some do not, 2 for wrong arguments.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &SweepArgs, out: &mut dyn Write) -> io::Result<u8> {
     if !args.chart.is_file() {
         return writeln!(out, "error: there is no chart `{}`", args.chart.display()).map(|()| 2);

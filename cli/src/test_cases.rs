@@ -17,7 +17,6 @@ use armarium_source::{Disk, Finding, Source};
 use crate::console;
 use crate::junit::{self, Case, Suite, Verdict};
 
-/// What `test` takes.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TestArgs {
     /// Files of test cases.
@@ -42,9 +41,6 @@ struct Tested {
 
 /// Plays all cases and writes how they went. Returns the exit status: 0 when all pass, 1 when one does not, 2 when a file
 /// is wrong.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     let registry = catalog::idle_registry();
     let mut tested: BTreeMap<PathBuf, Tested> = BTreeMap::new();

@@ -11,7 +11,6 @@ use armarium_viewer::live::{LivePage, PageAddress, ShownRun, ShownTimeline, Time
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::stopped::stopped;
 
-/// Arguments of `view`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     armarium view report/run.mcap              the last run: play it, jump from transition to transition\n  \
@@ -32,9 +31,6 @@ pub(crate) struct ViewArgs {
 }
 
 /// Serves the page until Ctrl-C. Returns the exit status: 2 when there is nothing to show.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &ViewArgs, out: &mut dyn Write) -> io::Result<u8> {
     if args.other.is_none() && is_agent(&args.shown) {
         return follow(args, &args.shown.display().to_string(), out);

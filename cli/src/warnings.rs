@@ -38,9 +38,6 @@ where
 }
 
 /// Installs the subscriber; a second call in one process changes nothing.
-///
-/// # Errors
-/// When `RUST_LOG` cannot be parsed.
 pub(crate) fn show() -> Result<(), String> {
     let wanted = std::env::var("RUST_LOG").unwrap_or_default();
     let wanted = if wanted.trim().is_empty() { DEFAULT_FILTER } else { &wanted };

@@ -7,7 +7,6 @@ use armarium_source::{Source, draw};
 
 use crate::console::show;
 
-/// Arguments of `world`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct WorldArgs {
     #[command(subcommand)]
@@ -32,9 +31,6 @@ enum WorldCommand {
 }
 
 /// Prints to `out`. Returns the exit status: 0, or 2 when the file is wrong.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &WorldArgs, out: &mut dyn Write) -> io::Result<u8> {
     let WorldCommand::Random { file, seed } = &args.command;
     let drawn = Source::read(file).map_err(|finding| vec![*finding]).and_then(|source| draw(source, *seed));

@@ -11,21 +11,15 @@ fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     (values.map(|v| v * v).sum::<f64>() / n).sqrt()
 }
 
+/// Of the positions or velocities of both hands, the vertical difference.
+fn z_rms(hands: &[[Vector3<f64>; 2]]) -> f64 {
+    rms(hands.iter().map(|[right, left]| left.z - right.z))
+}
+
 impl Ilc {
-    fn z_rms(&self, epoch: &Epoch) -> f64 {
-        rms(epoch.x.iter().map(|[right, left]| left.z - right.z))
-    }
-
-    fn discrete_z_rms(&self, epoch: &Epoch) -> f64 {
-        rms(epoch.x[..self.discrete_steps().min(epoch.x.len())].iter().map(|[right, left]| left.z - right.z))
-    }
-
-    fn velocity_rms(&self, epoch: &Epoch) -> f64 {
-        rms(epoch.v.iter().map(|[right, left]| left.z - right.z))
-    }
-
-    fn discrete_velocity_rms(&self, epoch: &Epoch) -> f64 {
-        rms(epoch.v[..self.discrete_steps().min(epoch.v.len())].iter().map(|[right, left]| left.z - right.z))
+    /// The discrete part of an epoch.
+    fn discrete<'e>(&self, hands: &'e [[Vector3<f64>; 2]]) -> &'e [[Vector3<f64>; 2]] {
+        &hands[..self.discrete_steps().min(hands.len())]
     }
 
     fn distance_rms(&self, epoch: &Epoch) -> f64 {
@@ -44,10 +38,10 @@ impl Ilc {
         };
         type Figure<'a> = (&'a str, &'a dyn Fn(&Epoch) -> f64);
         let figures: [Figure<'_>; 5] = [
-            ("z_rms_m", &|e| self.z_rms(e)),
-            ("discrete_z_rms_m", &|e| self.discrete_z_rms(e)),
-            ("velocity_rms_m_s", &|e| self.velocity_rms(e)),
-            ("discrete_velocity_rms_m_s", &|e| self.discrete_velocity_rms(e)),
+            ("z_rms_m", &|e| z_rms(&e.x)),
+            ("discrete_z_rms_m", &|e| z_rms(self.discrete(&e.x))),
+            ("velocity_rms_m_s", &|e| z_rms(&e.v)),
+            ("discrete_velocity_rms_m_s", &|e| z_rms(self.discrete(&e.v))),
             ("distance_rms_m", &|e| self.distance_rms(e)),
         ];
         for (name, of) in figures {
@@ -115,9 +109,9 @@ impl Ilc {
             "epoch",
             "log10 of the RMS error, m or m/s",
             vec![
-                line("height", 1, &|e| self.z_rms(e)),
-                line("height, discrete part", 2, &|e| self.discrete_z_rms(e)),
-                line("velocity", 3, &|e| self.velocity_rms(e)),
+                line("height", 1, &|e| z_rms(&e.x)),
+                line("height, discrete part", 2, &|e| z_rms(self.discrete(&e.x))),
+                line("velocity", 3, &|e| z_rms(&e.v)),
             ],
         );
         let row = |panel, height| PanelRow { height, panels: vec![panel] };

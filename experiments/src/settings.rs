@@ -181,10 +181,7 @@ fn shown(value: &Value) -> String {
     }
 }
 
-/// The defaults, overwritten by the given settings.
-///
-/// # Errors
-/// [`ExperimentError::Setting`] for an unknown key and for a value of the wrong type.
+/// The defaults, overwritten by the given settings; an unknown key or a value of another type is an error.
 pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, ExperimentError> {
     let mut map = defaults::<S>();
     for (key, text) in given {

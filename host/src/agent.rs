@@ -258,6 +258,8 @@ async fn load(
 
 /// The named chart files, and the charts in the named folders.
 fn chart_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, HostError> {
+    let is_chart =
+        |file: &PathBuf| Disk.head(file).is_some_and(|head| outermost(&head, "statechart").is_some());
     let mut files = Vec::new();
     for path in named {
         if !path.is_dir() {
@@ -269,14 +271,9 @@ fn chart_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, HostError> {
             path: path.clone(),
             source,
         })?;
-        files.extend(Disk.list(path).into_iter().filter(|file| is_chart(file)));
+        files.extend(Disk.list(path).into_iter().filter(is_chart));
     }
     Ok(files)
-}
-
-/// Whether a file in a folder is a chart: YAML with the top-level key `statechart`.
-fn is_chart(file: &Path) -> bool {
-    Disk.head(file).is_some_and(|head| outermost(&head, "statechart").is_some())
 }
 
 /// Reports what the agent offers and where it listens.

@@ -18,7 +18,6 @@ use crate::console::Console;
 use crate::error::HostError;
 use crate::names::Names;
 
-/// How long to wait for other agents.
 const AGENT_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Constructs an additional skill from the robot, the cameras and the memory.

@@ -229,9 +229,6 @@ impl Live {
 
     /// Opens the page, and says where it is. Others see it too, if the run has a name by which they reach it. Returns what has
     /// been done through the page, as it happens.
-    ///
-    /// # Errors
-    /// [`HostError::Live`] when the port cannot be listened on; the errors of the connection.
     pub(crate) async fn open(
         &mut self,
         options: &LiveOptions,
@@ -288,9 +285,6 @@ pub(crate) struct ServiceView {
 
 impl ServiceView {
     /// Opens the page, and says where it is; others see it by the agent's name. It has to be called on the session's threads.
-    ///
-    /// # Errors
-    /// [`HostError::Live`] when the port cannot be listened on; the errors of the session.
     pub(crate) async fn open(
         address: &PageAddress,
         (title, subtitle): (&str, String),
@@ -313,9 +307,6 @@ impl ServiceView {
     }
 
     /// Shows one more run, of a chart that others have started, and records its events.
-    ///
-    /// # Errors
-    /// When it cannot be recorded.
     pub(crate) fn add(&self, header: &RunHeader, clock: WorldClock) -> Result<RecordedEvents, HostError> {
         let timeline = Timeline::bounded(MOST_BYTES_OF_ONE);
         timeline.begin(header);

@@ -47,9 +47,6 @@ pub(crate) struct LiveOffer(Vec<JoinHandle<()>>);
 
 impl LiveOffer {
     /// Answers pages elsewhere on `{agent}/live/page`, and says what is new on `{agent}/live/news` while somebody listens.
-    ///
-    /// # Errors
-    /// When the session cannot declare it.
     pub(crate) async fn start(
         (session, threads): (&Session, &Handle),
         agent: &str,

@@ -15,14 +15,12 @@ use nalgebra::{Isometry3, Point3};
 use parking_lot::Mutex;
 use serde_json::{Value as Json, json};
 
-/// Most entries of a log.
 const MAX_ENTRIES: usize = 100_000;
 /// Positions closer than this share a line of the report, m.
 const SAME_PLACE: f64 = 0.01;
 /// Time step of the plot, s.
 const PLOT_STEP: f64 = 0.05;
 
-/// The note of the section.
 const NOTE: &str = "What each agent's memory came to know, as it told others. Places are in the robot's root frame, set beside \
                     the simulator's truth of that moment; the plot takes what speaks of the latest time.";
 
@@ -33,7 +31,6 @@ pub(crate) struct LoggedChange {
     pub(crate) agent: String,
     /// When it arrived, s of the run.
     pub(crate) at_s: f64,
-    /// The change.
     pub(crate) snapshot: Arc<Snapshot>,
 }
 

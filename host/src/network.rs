@@ -44,9 +44,6 @@ fn commands(program: &Program, name: &str, endpoint: &str) -> Vec<String> {
 
 impl Network {
     /// Opens a session. With a name, the run receives events from other agents, on the session's threads.
-    ///
-    /// # Errors
-    /// [`HostError::NameTaken`]; [`HostError::Session`] when the network fails.
     pub(crate) fn open(
         config: &SessionConfig,
         name: Option<&str>,
@@ -60,9 +57,7 @@ impl Network {
             name.map(|name| listen(&connection, name, &peers.subscribers, console)).transpose()?;
         Ok(Self { connection: Some(connection), agents: Some(agents), peers, listening })
     }
-}
 
-impl Network {
     /// Says how the events of a chart are sent to the run.
     pub(crate) fn explain_events(&self, program: &Program, console: &dyn Console) {
         if let Some(Listening { name, endpoint: Some(endpoint), .. }) = &self.listening {

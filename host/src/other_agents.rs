@@ -34,9 +34,7 @@ use crate::recording::{SharedRecorder, world_text};
 
 /// How long to wait until an agent's memory answers.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(60);
-/// How long to wait until an agent ends.
 const END_TIMEOUT: Duration = Duration::from_secs(5);
-/// How often the processes are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// What is shared, and with which agents.
@@ -105,10 +103,6 @@ pub(crate) struct OtherAgents {
 impl OtherAgents {
     /// Shares the robot's memory, offers the other agents their images, starts the absent agents, and follows all of
     /// them.
-    ///
-    /// # Errors
-    /// [`HostError::OtherAgent`] when an agent is absent and cannot be started; [`HostError::Memory`] and
-    /// [`HostError::Session`] when sharing fails.
     pub(crate) async fn start(sharing: Sharing) -> Result<Self, HostError> {
         let Sharing { session, world, memory, clock, .. } = &sharing;
         let own = &world.robot.name;

@@ -105,15 +105,11 @@ pub(crate) fn commanded(world: &World) -> impl Iterator<Item = (usize, &RobotSpe
 }
 
 impl OtherRobots {
-    /// Whether there are none.
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// Loads and checks their charts, which are named beside the world's `file`; `robots` are those that are simulated.
-    ///
-    /// # Errors
-    /// [`HostError`] when one cannot be run.
     pub(crate) async fn prepare(
         config: &RunConfig,
         (world, file): (&World, Option<&Path>),

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::codec;
-use armarium_robot::{Kinematics, Model, Robot};
+use armarium_robot::{Kinematics, Robot};
 use armarium_simulator::physics::PressedLoad;
 use armarium_simulator::truth::FrameTruth;
 use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
@@ -33,7 +33,6 @@ struct Recording {
 }
 
 impl SharedRecorder {
-    /// Begins the recording.
     pub(crate) fn begin(&self, recorder: Recorder) {
         self.0.lock().recorder = Some(recorder);
     }
@@ -91,7 +90,6 @@ pub(crate) struct RunDigest {
 }
 
 impl RunDigest {
-    /// Adds an event.
     pub(crate) fn add(&self, what: &impl Serialize) {
         // Encoding fails only for values that CBOR cannot hold; these are missing from the digest of every run.
         if let Ok(bytes) = codec::encode(what) {
@@ -144,7 +142,6 @@ pub(crate) fn person_part(person: usize, part: usize) -> String {
 /// Writes the truth into the recording.
 pub(crate) struct TruthTopics {
     recorder: SharedRecorder,
-    /// The names of the world's bodies.
     bodies: Vec<String>,
     /// When they are due again, ns.
     next_ns: u64,
@@ -207,9 +204,6 @@ impl TruthSink for TruthTopics {
 
 /// Stores the sources of the run in the recording: the chart's text, the whole world with its defaults, as a file
 /// that `--world` reads, and what a page needs to show the run.
-///
-/// # Errors
-/// When the recording cannot be written.
 pub(crate) fn attach_sources(
     recorder: &mut Recorder,
     chart: &Path,
@@ -226,9 +220,6 @@ pub(crate) fn attach_sources(
 }
 
 /// Adds the report, so that it can be seen with the recording; its pictures are in the recording anyway.
-///
-/// # Errors
-/// [`RecorderError`].
 pub(crate) fn attach_report(recorder: &mut Recorder, sections: &[Section]) -> Result<(), RecorderError> {
     let mut sections = sections.to_vec();
     for section in &mut sections {
@@ -264,7 +255,7 @@ pub(crate) fn record_robot(
     sensor: Option<usize>,
     recorder: SharedRecorder,
 ) -> JoinHandle<()> {
-    let names = joint_names(robot.model());
+    let names: Vec<String> = robot.model().joints().iter().map(|joint| joint.name.clone()).collect();
     let mut sensed = robot.sensed();
     let mut links = Links { kinematics: Kinematics::new(robot.model()), next_ns: 0 };
     tokio::spawn(async move {
@@ -310,11 +301,6 @@ impl Links {
             }
         }
     }
-}
-
-/// The names of the joints in the model's order.
-pub(crate) fn joint_names(model: &Model) -> Vec<String> {
-    model.joints().iter().map(|joint| joint.name.clone()).collect()
 }
 
 #[cfg(test)]

@@ -22,9 +22,6 @@ use crate::error::HostError;
 const SEARCH_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The world file's entry for an agent.
-///
-/// # Errors
-/// [`HostError::UnknownAgent`] when there is none.
 pub(crate) fn agent_of<'w>(world: &'w World, name: &str) -> Result<&'w AgentSpec, HostError> {
     world.agents.iter().find(|agent| agent.name == name).ok_or_else(|| {
         let known: Vec<&str> = world.agents.iter().map(|agent| agent.name.as_str()).collect();
@@ -33,10 +30,7 @@ pub(crate) fn agent_of<'w>(world: &'w World, name: &str) -> Result<&'w AgentSpec
     })
 }
 
-/// Waits until the images are offered; meanwhile calls `say` from time to time.
-///
-/// # Errors
-/// When they are not a stereo pair, or the session has ended.
+/// Waits until the images are offered; meanwhile calls `say` from time to time. They have to be a stereo pair.
 pub(crate) async fn open(
     session: &Session,
     eyes: &Address,

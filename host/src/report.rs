@@ -85,7 +85,6 @@ fn values(values: &BTreeMap<String, Value>) -> Json {
 pub(crate) struct WrittenReport {
     /// What is in `report.json`.
     pub(crate) json: Json,
-    /// The figures of all sections.
     pub(crate) figures: Vec<Figure>,
     pub(crate) sections: Vec<Section>,
     /// Whether the files could be written.

@@ -14,11 +14,7 @@ pub(crate) struct ReportFolder {
 
 impl ReportFolder {
     /// Takes a folder; makes it if it is not there. With `keep`, one that holds a report, or that another run writes to, is left
-    /// alone, and the first of `DIR-2`, `DIR-3` ... that is free is taken.
-    ///
-    /// # Errors
-    /// [`HostError::File`] when no folder can be made; [`HostError::ReportInUse`] when another run writes to it, without
-    /// `keep`.
+    /// alone, and the first of `DIR-2`, `DIR-3` ... that is free is taken; without, one that another run writes to is refused.
     pub(crate) fn take(folder: &Path, keep: bool) -> Result<Self, HostError> {
         let mut number = 1;
         loop {

@@ -26,9 +26,7 @@ const LOG_LINES: usize = 200;
 /// The state of the run so far.
 #[derive(Debug, Default)]
 pub(crate) struct RunLog {
-    /// The states over time.
     pub(crate) states: Vec<StateSpan>,
-    /// The present status.
     pub(crate) status: RunStatus,
     /// The newest lines.
     pub(crate) lines: Vec<String>,

@@ -120,9 +120,6 @@ pub fn memory_of_run(world: &World, store: &Path, remember: &[String]) -> Result
 }
 
 /// The memory of a robot of which nothing is kept: prior knowledge of the world's objects.
-///
-/// # Errors
-/// [`HostError::Memory`] when prior knowledge is invalid.
 pub(crate) fn memory_without_store(world: &World, robot: &str) -> Result<AgentMemory, HostError> {
     let mut config = MemoryConfig::new(robot);
     config.prior = prior_knowledge(world)?;

@@ -19,7 +19,6 @@ use crate::error::HostError;
 
 /// The file of a sweep's folder that has a line for each run.
 const RUNS: &str = "sweep.jsonl";
-/// The page of a sweep.
 const PAGE: &str = "sweep.html";
 /// Runs whose reports the page names, of those that did not hold or came closest to that.
 const WORST: usize = 10;

@@ -51,9 +51,6 @@ struct Drawn {
 }
 
 /// The cameras of a world for a driver that tells where `bodies` are.
-///
-/// # Errors
-/// [`HostError::Images`] when the robot has no cameras.
 pub(crate) fn cameras(
     world: &World,
     seed: u64,

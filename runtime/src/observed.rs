@@ -32,21 +32,16 @@ pub struct MemoryPattern {
 /// Why a text is no pattern of addresses.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum PatternError {
     /// It has not three parts.
     #[error("a pattern has three parts, core segment, provider and entity; this has {found}")]
-    Parts {
-        /// How many it has.
-        found: usize,
-    },
+    Parts { found: usize },
     /// A part can be in no address.
     #[error(
         "`{part}` can be no part of an address in memory: letters, digits and other signs, without `#`, `?`, `$`, and at most {MAX_NAME_BYTES} bytes"
     )]
-    Name {
-        /// The part.
-        part: String,
-    },
+    Name { part: String },
 }
 
 impl FromStr for MemoryPattern {

@@ -16,52 +16,31 @@ pub struct TraceEvent {
     pub item: TraceItem,
 }
 
-/// An item of the trace. States are given by their path in the chart.
+/// An item of the trace. States are given by their path in the chart, skills' starts by their number in the run (`activation`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "what", rename_all = "snake_case")]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum TraceItem {
     /// The run began.
-    Started {
-        /// Name of the chart.
-        chart: String,
-        /// Its inputs.
-        inputs: BTreeMap<String, Value>,
-    },
+    Started { chart: String, inputs: BTreeMap<String, Value> },
     /// An event was taken from the queue.
     Event {
-        /// Its name.
         name: String,
         /// The state that it belongs to; `None` for events that all states see.
         from: Option<String>,
-        /// Its data.
         data: Value,
     },
     /// An event was dropped: its state has been left meanwhile, or a queue was full.
-    Dropped {
-        /// Its name.
-        name: String,
-        /// Why it was dropped.
-        reason: String,
-    },
+    Dropped { name: String, reason: String },
     /// Somebody acted on the run from outside, such as through its live page.
-    Acted {
-        /// What was done.
-        action: String,
-    },
+    Acted { action: String },
     /// An event is held back until an unbreakable state ends.
-    Held {
-        /// Its name.
-        name: String,
-        /// The unbreakable state.
-        state: String,
-    },
+    Held { name: String, state: String },
     /// An event was sent to another agent.
     Sent {
-        /// Its name.
         name: String,
         /// The agent, or `agent/Chart`.
         to: String,
-        /// Its data.
         data: Value,
     },
     /// A transition was taken.
@@ -74,109 +53,56 @@ pub enum TraceItem {
         target: Option<String>,
     },
     /// States wait for their skills to return before they are left.
-    Leaving {
-        /// The states.
-        states: Vec<String>,
-    },
+    Leaving { states: Vec<String> },
     /// A state was left.
-    Exited {
-        /// The state.
-        state: String,
-    },
+    Exited { state: String },
     /// A state was entered.
-    Entered {
-        /// The state.
-        state: String,
-    },
+    Entered { state: String },
     /// A state has ended and no transition took its outcome; it stays active.
-    Done {
-        /// The state.
-        state: String,
-        /// Its outcome.
-        outcome: String,
-    },
+    Done { state: String, outcome: String },
     /// A state is retried.
     Retry {
-        /// The state.
         state: String,
         /// Number of this retry, from 1.
         attempt: u32,
         /// Why the previous attempt failed.
         reason: String,
     },
-    /// The active states changed.
-    Configuration {
-        /// The innermost active states, in the chart's order.
-        leaves: Vec<String>,
-    },
+    /// The active states changed; these are the innermost, in the chart's order.
+    Configuration { leaves: Vec<String> },
     /// A skill was started.
-    SkillStarted {
-        /// Number of this start in the run.
-        activation: u64,
-        /// The state.
-        state: String,
-        /// The skill.
-        skill: String,
-        /// Its inputs.
-        inputs: BTreeMap<String, Value>,
-    },
-    /// The active states inside a state that another agent runs.
-    Inside {
-        /// The state.
-        state: String,
-        /// The innermost active states there.
-        leaves: Vec<String>,
-    },
+    SkillStarted { activation: u64, state: String, skill: String, inputs: BTreeMap<String, Value> },
+    /// The innermost active states inside a state that another agent runs.
+    Inside { state: String, leaves: Vec<String> },
     /// A skill was cancelled.
-    SkillCancelled {
-        /// Number of its start.
-        activation: u64,
-        /// The state.
-        state: String,
-    },
+    SkillCancelled { activation: u64, state: String },
     /// A skill returned.
     SkillEnded {
-        /// Number of its start.
         activation: u64,
-        /// The state.
         state: String,
         /// Its outcome; `cancelled` if it was cancelled before.
         outcome: String,
         /// The reason of a failure.
         reason: Option<String>,
-        /// Its outputs.
         outputs: BTreeMap<String, Value>,
     },
     /// A variable was assigned.
     Assigned {
         /// Its name, prefixed with the chart's path unless that is the outermost.
         variable: String,
-        /// Its new value.
         value: Value,
     },
     /// The action `log` ran.
-    Log {
-        /// The state.
-        state: String,
-        /// The text.
-        text: String,
-    },
-    /// An expression failed.
-    Error {
-        /// What happened.
-        message: String,
-        /// `file:line:column`.
-        place: String,
-    },
+    Log { state: String, text: String },
+    /// An expression failed; `place` is `file:line:column`.
+    Error { message: String, place: String },
     /// The run ended.
     Finished {
-        /// Its outcome.
         outcome: String,
         /// The reason of an outcome other than success.
         reason: Option<String>,
         /// The states that a failure passed through.
         chain: Vec<String>,
-        /// The chart's outputs.
         outputs: BTreeMap<String, Value>,
     },
 }

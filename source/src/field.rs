@@ -173,7 +173,8 @@ macro_rules! whole {
     ($($ty:ty),*) => {$(
         impl Field for $ty {
             fn read(&mut self, node: &Node, rule: &Rule, findings: &mut Findings) {
-                let rule = rule.within(<$ty>::MIN as f64, <$ty>::MAX as f64);
+                let (min, max) = (rule.min.max(<$ty>::MIN as f64), rule.max.min(<$ty>::MAX as f64));
+                let rule = Rule { min, max, ..*rule };
                 match rule.number_in_range(node, findings) {
                     Some(number) if number.fract() == 0.0 => *self = number as $ty,
                     Some(number) => {
@@ -190,12 +191,6 @@ macro_rules! whole {
     )*};
 }
 whole!(u8, u32, usize);
-
-impl Rule {
-    fn within(&self, min: f64, max: f64) -> Self {
-        Self { min: self.min.max(min), max: self.max.min(max), ..*self }
-    }
-}
 
 impl Field for bool {
     fn read(&mut self, node: &Node, _: &Rule, findings: &mut Findings) {

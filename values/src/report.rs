@@ -268,6 +268,7 @@ impl Table {
 /// A cell of a table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Cell {
     /// No content.
     Absent,
@@ -275,22 +276,10 @@ pub enum Cell {
     Text(String),
     /// A name from a file or a program, shown as code.
     Code(String),
-    /// A link to another file.
-    Link {
-        /// What is shown.
-        text: String,
-        /// The file's path, relative to the page.
-        to: String,
-    },
-    /// Numbers with a common unit and precision.
-    Numbers {
-        /// One number, or the components of a vector.
-        values: Vec<f64>,
-        /// Their unit as text; may be empty.
-        unit: String,
-        /// Digits after the point.
-        digits: usize,
-    },
+    /// A link to another file, by its path relative to the page.
+    Link { text: String, to: String },
+    /// One number, or the components of a vector; the unit may be empty, `digits` are those after the point.
+    Numbers { values: Vec<f64>, unit: String, digits: usize },
 }
 
 impl Cell {

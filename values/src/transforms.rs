@@ -21,55 +21,27 @@ const MAX_SAMPLES: usize = 10_001;
 /// Why a transform is not known.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum TransformError {
     /// Nobody has said where a frame is.
     #[error("nobody has told where the frame `{frame}` is; known are {known}")]
-    Unknown {
-        /// The frame.
-        frame: String,
-        /// The frames that are known, comma-separated.
-        known: String,
-    },
-    /// It is too long ago.
+    Unknown { frame: String, known: String },
+    /// It is too long ago, by `late_s`.
     #[error(
         "where the frame `{frame}` was {late_s:.3} s before the oldest pose that is kept of it is not known any more"
     )]
-    TooOld {
-        /// The frame.
-        frame: String,
-        /// How much too old the question is, s.
-        late_s: f64,
-    },
-    /// It is later than what is known; the answer may come.
+    TooOld { frame: String, late_s: f64 },
+    /// It is later than what is known, by `early_s`; the answer may come.
     #[error("where the frame `{frame}` is is not yet known: the newest pose of it is {early_s:.3} s older")]
-    NotYet {
-        /// The frame.
-        frame: String,
-        /// How much later than the newest pose the question is, s.
-        early_s: f64,
-    },
-    /// Both are known, but nothing connects them.
+    NotYet { frame: String, early_s: f64 },
+    /// Both are known, but nothing connects the frames that they hang on.
     #[error(
         "the frames `{target}` and `{source_frame}` are not connected: they hang on `{target_root}` and `{source_root}`"
     )]
-    NotConnected {
-        /// The frame that was asked for.
-        target: String,
-        /// The frame that was asked from.
-        source_frame: String,
-        /// The frame that the first hangs on.
-        target_root: String,
-        /// The frame that the second hangs on.
-        source_root: String,
-    },
+    NotConnected { target: String, source_frame: String, target_root: String, source_root: String },
     /// A pose that cannot be kept.
     #[error("the pose of the frame `{frame}` cannot be kept: {why}")]
-    Refused {
-        /// The frame.
-        frame: String,
-        /// What is wrong with it.
-        why: &'static str,
-    },
+    Refused { frame: String, why: &'static str },
 }
 
 /// Somebody who knows where some frames were.

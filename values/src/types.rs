@@ -60,34 +60,20 @@ pub enum Fit {
 /// Why a value does not fit its declared type.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum ConvertError {
     /// The value is of another type.
     #[error("expected {expected}, found {found}")]
-    Type {
-        /// The declared type.
-        expected: String,
-        /// What was found, as text.
-        found: String,
-    },
+    Type { expected: String, found: String },
     /// The value has a unit of another kind.
     #[error("expected a number in {expected}, found one in {found}")]
-    Unit {
-        /// The declared unit.
-        expected: String,
-        /// The unit found.
-        found: String,
-    },
+    Unit { expected: String, found: String },
     /// The text after the number is not a unit.
     #[error(transparent)]
     UnknownUnit(#[from] crate::unit::UnknownUnit),
     /// The word is not a value of the enum.
     #[error("`{found}` is not one of {}", expected.join(", "))]
-    NotInEnum {
-        /// The enum's values.
-        expected: Vec<String>,
-        /// The word found.
-        found: String,
-    },
+    NotInEnum { expected: Vec<String>, found: String },
 }
 
 impl Type {

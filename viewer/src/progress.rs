@@ -6,7 +6,7 @@
 use std::io::{self, Write};
 use std::sync::Arc;
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 
 /// The content of the line.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -105,18 +105,14 @@ impl Progress {
         Self { inner: Arc::new(Mutex::new(inner)) }
     }
 
-    fn inner(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock()
-    }
-
     /// Whether an update at this time would be shown; check it before computing an expensive status.
     pub fn due(&self, simulated_s: f64, wall_s: f64) -> bool {
-        self.inner().due(simulated_s, wall_s)
+        self.inner.lock().due(simulated_s, wall_s)
     }
 
     /// Shows the status, unless the last update was very recent. Write errors are ignored.
     pub fn update(&self, status: &ProgressLine) {
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         if inner.due(status.simulated_s, status.wall_s) {
             inner.next_wall_s = status.wall_s + REDRAW_S;
             inner.next_simulated_s = status.simulated_s + LINE_S;
@@ -126,12 +122,12 @@ impl Progress {
 
     /// Writes a line above the live one.
     pub fn print(&self, line: &str) {
-        drop(self.inner().print(line.as_bytes()));
+        drop(self.inner.lock().print(line.as_bytes()));
     }
 
     /// Ends the live line; the final status remains on a line of its own.
     pub fn finish(&self, status: &ProgressLine) {
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         drop(inner.show(status.line()).and_then(|()| {
             let terminal = inner.terminal;
             inner.shown = None;
@@ -143,7 +139,7 @@ impl Progress {
 /// Text written here (log lines, for instance) appears above the live line.
 impl Write for Progress {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         inner.partial.extend_from_slice(data);
         while let Some(end) = inner.partial.iter().position(|byte| *byte == b'\n') {
             let line: Vec<u8> = inner.partial.drain(..=end).collect();
@@ -153,7 +149,7 @@ impl Write for Progress {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.inner().out.flush()
+        self.inner.lock().out.flush()
     }
 }
 

@@ -12,7 +12,6 @@ use armarium_host::Connection;
 const ROWS_PX: f64 = 0.5;
 /// Largest accepted relative depth error, median.
 const DEPTH: f64 = 0.02;
-/// Least number of corners for a result.
 const MIN_CORNERS: usize = 30;
 
 /// Checks some frames; a wrong calibration is a failure.

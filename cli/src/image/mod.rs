@@ -24,7 +24,6 @@ use crate::console;
 /// How long to wait for providers to appear.
 const DISCOVERY_TIME: Duration = Duration::from_secs(2);
 
-/// Arguments of `image`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ImageArgs {
     #[command(subcommand)]
@@ -58,7 +57,6 @@ struct LsArgs {
     connection: ConnectionArgs,
 }
 
-/// The source of frames.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SourceArgs {
     /// `AGENT/PROVIDER`, or a recording, an image file or a folder of images.
@@ -195,9 +193,6 @@ pub(crate) enum Failure {
 
 /// Executes the command. Returns the exit status: 0 success, 1 the operation failed, 2 an argument or file is
 /// invalid.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &ImageArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let session = match args.connection().config() {
         Ok(session) => SessionConfig { shared_memory: true, ..session },
@@ -248,12 +243,10 @@ impl From<io::Error> for Failure {
     }
 }
 
-/// A failure caused by an argument.
 pub(crate) fn argument(error: impl std::fmt::Display) -> Failure {
     Failure::Argument(error.to_string())
 }
 
-/// A failure not caused by an argument.
 pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::Failed(error.to_string())
 }

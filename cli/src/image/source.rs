@@ -13,7 +13,6 @@ use armarium_visionx::providers::{
 use super::{Failure, SourceArgs, argument, failed};
 use armarium_host::Connection;
 
-/// How long to wait for a provider.
 const PROVIDER_TIMEOUT: Duration = Duration::from_secs(10);
 /// Endings that mark a file.
 const ENDINGS: [&str; 4] = ["mcap", "png", "jpg", "jpeg"];

@@ -14,7 +14,6 @@ use tokio::time::Instant;
 /// Most sizes that are printed.
 const MAX_SIZES: usize = 32;
 
-/// Measures for a while.
 pub(super) async fn run(
     args: &StatsArgs,
     connection: &Connection,

@@ -36,13 +36,11 @@ impl KeepArgs {
         policies(usual, &self.keep)
     }
 
-    /// The retention from the options.
     pub(crate) fn retention(&self) -> Result<Retention, String> {
         retention(self.days, self.megabytes)
     }
 }
 
-/// The retention, from days and megabytes.
 pub(super) fn retention(days: Option<f64>, megabytes: Option<f64>) -> Result<Retention, String> {
     let scaled = |number: Option<f64>, unit: f64, what: &str| match number {
         Some(n) if !n.is_finite() || n < 0.0 => Err(format!("{what} cannot be {n}")),

@@ -11,6 +11,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use crate::connection_args::{ConnectionArgs, explained};
+use crate::failure::Failure;
 use crate::{logging, warnings};
 
 pub(crate) mod keep;
@@ -26,7 +27,6 @@ mod work;
 /// The name of a memory without a given name.
 const LOCAL: &str = "local";
 
-/// Arguments of `memory`.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct MemoryArgs {
     /// The agent whose memory it is.
@@ -323,22 +323,6 @@ struct RetainArgs {
     megabytes: Option<f64>,
 }
 
-/// Why a command ended.
-pub(crate) enum Failure {
-    /// The memory refuses or cannot be reached: status 1.
-    Refused(String),
-    /// An argument is invalid: status 2.
-    Argument(String),
-    /// The output cannot be written.
-    Output(io::Error),
-}
-
-impl From<io::Error> for Failure {
-    fn from(error: io::Error) -> Self {
-        Self::Output(error)
-    }
-}
-
 impl From<armarium_bus::SessionError> for Failure {
     fn from(error: armarium_bus::SessionError) -> Self {
         use armarium_bus::SessionError;
@@ -384,9 +368,6 @@ impl From<armarium_memoryx::StoreError> for Failure {
 
 /// Executes a command. Returns the exit status: 0 when it was done, 1 when the memory refused or is damaged, 2 for an
 /// invalid argument.
-///
-/// # Errors
-/// When `out` cannot be written.
 pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write) -> io::Result<u8> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     // A server prints the time of each log line.
@@ -395,12 +376,7 @@ pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write
         Ok(()) => runtime.block_on(work::carry_out(args, out)),
         Err(what) => Err(Failure::Argument(what)),
     };
-    let status = match done {
-        Ok(status) => status,
-        Err(Failure::Output(error)) => return Err(error),
-        Err(Failure::Refused(what)) => writeln!(errors, "error: {what}").map(|()| 1)?,
-        Err(Failure::Argument(what)) => writeln!(errors, "error: {what}").map(|()| 2)?,
-    };
+    let status = done.or_else(|failure| failure.say(errors))?;
     // Tasks that still wait for the network end with the program.
     runtime.shutdown_background();
     Ok(status)

@@ -13,10 +13,8 @@ use super::{Failure, MemoryArgs, MemoryCommand};
 
 /// Default listening endpoint of an agent.
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Snapshots per query.
 const MAX_SNAPSHOTS_PER_QUERY: usize = 4096;
 
-/// The memory that a command works on.
 pub(super) enum Reached {
     Agent { remote: RemoteMemory, session: Session },
     File { store: Arc<LongTermMemory>, memory: Arc<WorkingMemory> },
@@ -57,7 +55,6 @@ impl Reached {
         Ok(Self::Agent { remote, session })
     }
 
-    /// The memory.
     pub(super) fn memory(&self) -> &dyn Memory {
         match self {
             Self::Agent { remote, .. } => remote,
@@ -98,7 +95,6 @@ impl Reached {
         Ok(count)
     }
 
-    /// Requests maintenance of long-term memory.
     pub(super) async fn maintain(&self, request: Maintain) -> Result<MaintenanceReport, Failure> {
         match self {
             Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),

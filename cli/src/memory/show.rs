@@ -80,7 +80,6 @@ impl Printer {
         Ok(())
     }
 
-    /// Numbers by name.
     pub(super) fn counts(&self, counts: &BTreeMap<String, u64>, out: &mut dyn Write) -> Result<(), Failure> {
         if self.json {
             return Ok(writeln!(out, "{}", json!(counts))?);
@@ -157,7 +156,6 @@ impl Printer {
     }
 }
 
-/// A snapshot as plain JSON.
 pub(super) fn json_of(snapshot: &Snapshot) -> Json {
     let instances = snapshot.instances.iter().map(|instance| {
         let attributes: BTreeMap<&str, Json> =

@@ -183,20 +183,7 @@ pub(super) fn id(text: &str) -> Result<EntityId, Failure> {
 }
 
 /// Kinds of values that are recognised as an object with one field.
-const KINDS: [&str; 12] = [
-    "bool",
-    "int",
-    "float",
-    "string",
-    "duration",
-    "bytes",
-    "list",
-    "map",
-    "vector",
-    "pose",
-    "wrench",
-    "reference",
-];
+const KINDS: &str = "bool int float string duration bytes list map vector pose wrench reference";
 
 /// A value from the command line: with its kind, as plain JSON, or else as text.
 fn value(name: &str, text: &str) -> Result<Value, Failure> {
@@ -205,7 +192,7 @@ fn value(name: &str, text: &str) -> Result<Value, Failure> {
         Err(_) => return Ok(Value::String(text.to_owned())),
     };
     let kind = json.as_object().filter(|object| object.len() == 1).and_then(|object| object.keys().next());
-    match kind.filter(|kind| KINDS.contains(&kind.as_str())) {
+    match kind.filter(|kind| KINDS.split(' ').any(|known| known == kind.as_str())) {
         Some(kind) => serde_json::from_value(json.clone())
             .map_err(|error| Failure::Argument(format!("--set {name}: this is no {kind}: {error}"))),
         None => Ok(Value::from_json(&json)),

@@ -9,7 +9,6 @@ use armarium_values::{Type, Value};
 
 use super::line::{channel_step, event_step, publish};
 
-/// The help text.
 const HELP: &str = "\
   NAME [JSON]           raise an event, perhaps with data
   NAME@STATE [JSON]     the outcome of the state's skill, or its watch

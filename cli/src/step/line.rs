@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use armarium_runtime::program::{EventId, Program};
-use armarium_runtime::stepping::{Sent, StepError, Stepper};
+use armarium_runtime::stepping::{StepError, Stepper};
 use armarium_runtime::test_cases::channel_value;
 use armarium_values::Value;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -39,23 +39,12 @@ pub(super) struct InputLine {
     what: LineInput,
 }
 
+/// What a line says; the chart's number of an event is there once it was looked up.
 #[derive(Clone, Debug, PartialEq)]
 enum LineInput {
-    /// With the chart's number of the event, once it was looked up.
-    Event {
-        name: String,
-        data: Value,
-        number: Option<EventId>,
-    },
-    Report {
-        from: String,
-        name: String,
-        data: Value,
-    },
-    Publish {
-        channel: String,
-        value: Value,
-    },
+    Event { name: String, data: Value, number: Option<EventId> },
+    Report { from: String, name: String, data: Value },
+    Publish { channel: String, value: Value },
     Nothing,
 }
 
@@ -94,9 +83,6 @@ impl InputLine {
 }
 
 /// Reads a line; `None` for an empty one.
-///
-/// # Errors
-/// One sentence for people.
 pub(super) fn read(text: &str) -> Result<Option<InputLine>, String> {
     if text.trim().is_empty() {
         return Ok(None);
@@ -158,10 +144,7 @@ pub(super) fn publish(stepper: &mut Stepper, channel: &str, value: &Value) {
     stepper.publish(channel, read.unwrap_or_else(|_| value.clone()), Duration::ZERO);
 }
 
-/// Passes a line's input to the chart.
-///
-/// # Errors
-/// [`StepError`] when it is an outcome or a watch of a state that is not active, or has none such now: nothing changes.
+/// Passes a line's input to the chart. Nothing changes where the state is not active, or has no such outcome or watch now.
 pub(super) fn apply(stepper: &mut Stepper, input: &InputLine) -> Result<(), StepError> {
     if !input.after.is_zero() {
         stepper.advance(input.after);
@@ -198,14 +181,14 @@ fn json(values: BTreeMap<String, Value>) -> BTreeMap<String, serde_json::Value> 
     values.into_iter().map(|(name, value)| (name, value.to_json())).collect()
 }
 
-fn sent_json(sent: &Sent) -> serde_json::Value {
-    serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()})
-}
-
 /// Writes the active states after `event`; before the first event it is null.
 pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> io::Result<()> {
     let snapshot = stepper.snapshot();
     let log = stepper.take_logs();
+    let sent = stepper.take_sent();
+    let sent = sent
+        .iter()
+        .map(|sent| serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()}));
     let answer = Answer {
         event: (!event.is_empty()).then_some(event),
         configuration: snapshot.configuration,
@@ -213,7 +196,7 @@ pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> 
         locals: json(snapshot.locals),
         outputs: json(snapshot.outputs),
         log,
-        sent: stepper.take_sent().iter().map(sent_json).collect(),
+        sent: sent.collect(),
         outcome: stepper.result().map(|r| r.outcome.as_str()),
         reason: stepper.result().and_then(|r| r.reason.as_deref()),
     };

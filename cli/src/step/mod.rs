@@ -16,10 +16,10 @@ use armarium_runtime::stepping::Stepper;
 use armarium_runtime::test_cases::StepCheck;
 
 use crate::console;
+use crate::failure::Failure;
 use crate::run::parse_input;
 use armarium_host::{catalog, charts::read_inputs};
 
-/// Arguments of `step`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct StepArgs {
     /// The chart.
@@ -50,31 +50,14 @@ pub(crate) struct StepArgs {
     pub(crate) quiet: bool,
 }
 
-/// Why driving a chart stopped.
-#[derive(Debug, thiserror::Error)]
-enum Stopped {
-    /// The error in a file or an argument, to be printed.
-    #[error("{0}")]
-    Wrong(String),
-    #[error(transparent)]
-    Io(#[from] io::Error),
-}
-
 /// Drives the chart; results go to `out`, errors to `err`. Returns the exit status: 2 when a file, an argument or an
 /// event of a file is invalid, 1 when the run has failed, otherwise 0.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &StepArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let checked = catalog::load_idle(&args.chart, &args.charts);
     let Some(program) = checked.program else {
         return console::show(&checked.findings, err).map(|()| 2);
     };
-    match drive(args, &program, out, err) {
-        Ok(status) => Ok(status),
-        Err(Stopped::Wrong(message)) => writeln!(err, "error: {message}").map(|()| 2),
-        Err(Stopped::Io(error)) => Err(error),
-    }
+    drive(args, &program, out, err).or_else(|failure| failure.say(err))
 }
 
 fn drive(
@@ -82,10 +65,10 @@ fn drive(
     program: &Arc<Program>,
     out: &mut dyn Write,
     err: &mut dyn Write,
-) -> Result<u8, Stopped> {
-    let inputs = read_inputs(&args.inputs, program).map_err(|e| Stopped::Wrong(e.to_string()))?;
+) -> Result<u8, Failure> {
+    let inputs = read_inputs(&args.inputs, program).map_err(|e| e.to_string())?;
     let stepper = Stepper::new(Arc::clone(program), &inputs, args.profile.as_deref());
-    let mut stepper = stepper.map_err(|e| Stopped::Wrong(e.to_string()))?;
+    let mut stepper = stepper.map_err(|e| e.to_string())?;
     let registry = catalog::idle_registry();
     let check = StepCheck::new(program, &registry);
     // A program that drives a chart through pipes sees what became of each event.
@@ -111,7 +94,7 @@ fn follow(
     check: &StepCheck<'_>,
     out: &mut dyn Write,
     refused: &mut Refused<'_>,
-) -> Result<(), Stopped> {
+) -> Result<(), Failure> {
     let Some(events) = &args.events else { return Ok(()) };
     if args.repeat == 1 {
         // Each line is answered before the next is read, so that a program can drive a chart through pipes.
@@ -160,7 +143,7 @@ fn measure(
     check: &StepCheck<'_>,
     out: &mut dyn Write,
     refused: &mut Refused<'_>,
-) -> Result<(), Stopped> {
+) -> Result<(), Failure> {
     let mut list =
         args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check, refused))?;
     let program = Arc::clone(stepper.engine().program());
@@ -188,7 +171,7 @@ fn read_all(
     events: &PathBuf,
     check: &StepCheck<'_>,
     refused: &mut Refused<'_>,
-) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
+) -> Result<Vec<(usize, line::InputLine)>, Failure> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
         list.extend(checked(number, text, check, refused)?.map(|input| (number, input)));
@@ -204,7 +187,7 @@ fn checked(
     text: &str,
     check: &StepCheck<'_>,
     refused: &mut Refused<'_>,
-) -> Result<Option<line::InputLine>, Stopped> {
+) -> Result<Option<line::InputLine>, Failure> {
     let input = line::read(text).map_err(|e| wrong(number, &e))?;
     match input.as_ref().map_or(Ok(()), |input| check.check(&input.step())) {
         Err(error) if error.is_unknown_event() && !matches!(input, Some(ref input) if input.is_report()) => {
@@ -215,16 +198,16 @@ fn checked(
     Ok(input)
 }
 
-fn wrong(number: usize, message: &str) -> Stopped {
-    Stopped::Wrong(format!("line {number} of the events: {message}"))
+fn wrong(number: usize, message: &str) -> Failure {
+    Failure::Argument(format!("line {number} of the events: {message}"))
 }
 
 /// Calls `work` with each line of a file, or of standard input for `-`, and its number.
 fn each_line(
     file: &PathBuf,
-    mut work: impl FnMut(usize, &str) -> Result<(), Stopped>,
-) -> Result<(), Stopped> {
-    let unreadable = |e: io::Error| Stopped::Wrong(format!("{}: {e}", file.display()));
+    mut work: impl FnMut(usize, &str) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let unreadable = |e: io::Error| Failure::Argument(format!("{}: {e}", file.display()));
     let mut reader: Box<dyn BufRead> = if file.as_os_str() == "-" {
         Box::new(io::stdin().lock())
     } else {

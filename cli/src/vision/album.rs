@@ -20,10 +20,7 @@ pub(super) struct Album {
 }
 
 impl Album {
-    /// Plans the output files of these images: `NAME.png`, and `NAME_2.png` for another of the same name.
-    ///
-    /// # Errors
-    /// When the folder is a file, or an output file is one of the input images; one sentence for people.
+    /// Plans the output files of these images: `NAME.png`, and `NAME_2.png` for another of the same name. None may be an input image.
     pub(super) fn of(args: &AnnotateArgs, images: &[PathBuf]) -> Result<Self, String> {
         let Some(folder) = &args.annotate else { return Ok(Self::default()) };
         if folder.exists() && !folder.is_dir() {
@@ -61,9 +58,6 @@ impl Album {
 
     /// Writes an annotated image, if requested: to its planned file, or for a message of a recording to one with the
     /// message's name.
-    ///
-    /// # Errors
-    /// The reason and the file; for people.
     pub(super) fn keep(&mut self, name: &str, image: &RgbImage) -> Result<(), String> {
         let Some(folder) = self.folder.clone() else { return Ok(()) };
         let path = match self.planned.get(Path::new(name)) {

@@ -1,7 +1,7 @@
 //! `armarium vision label` and `score`: a page on which somebody clicks hands in images, and how well each detector does on them.
 
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::Write;
 use std::num::NonZeroUsize;
 
 use armarium_viewer::label_page::{self, ImageFile, ImagesToLabel};
@@ -10,10 +10,10 @@ use armarium_visionx::providers::convert::jpeg;
 use armarium_visionx::tracking::{DetectorScore, HandLabels};
 use tokio::net::TcpListener;
 
-use super::look::refuse;
 use super::report::json;
 use super::sequence::Sequence;
 use super::{Detector, DetectorArgs, LabelArgs, LabelledArgs, ScoreArgs};
+use crate::failure::Failure;
 use crate::stopped::stopped;
 
 /// Most images of a recording that are kept to be labelled.
@@ -45,24 +45,20 @@ fn images(sequence: &Sequence, every: NonZeroUsize) -> Result<(Vec<String>, Imag
 }
 
 /// Serves the page until Ctrl-C. Returns 2 when the images or labels cannot be used.
-pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let prepared = open(&args.of).and_then(|(labels, of)| Ok((labels, images(&of, args.every)?)));
-    let (labels, (names, image)) = match prepared {
-        Ok(prepared) => prepared,
-        Err(message) => return refuse(&message, err),
-    };
+pub(super) fn label(args: &LabelArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    let (labels, sequence) = open(&args.of)?;
+    let (names, image) = images(&sequence, args.every)?;
     if names.is_empty() {
-        return refuse(&format!("{}: has no images", args.of.folder.display()), err);
+        return Err(format!("{}: has no images", args.of.folder.display()).into());
     }
     let (count, file) = (names.len(), args.of.labels.clone());
     let keep = Box::new(move |labels: &HandLabels| labels.save(&file));
     let page = ImagesToLabel { names, labels, image, keep };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let listener = match TcpListener::bind(("127.0.0.1", args.port)).await {
-            Ok(listener) => listener,
-            Err(error) => return refuse(&format!("the page cannot be at port {}: {error}", args.port), err),
-        };
+        let listener = TcpListener::bind(("127.0.0.1", args.port)).await;
+        let listener =
+            listener.map_err(|error| format!("the page cannot be at port {}: {error}", args.port))?;
         let address = listener.local_addr()?;
         writeln!(
             out,
@@ -73,35 +69,29 @@ pub(super) fn label(args: &LabelArgs, out: &mut dyn Write, err: &mut dyn Write) 
         tokio::select! {
             biased;
             () = stopped() => Ok(0),
-            served = label_page::serve(listener, page) => served.map(|()| 0),
+            served = label_page::serve(listener, page) => served.map(|()| 0).map_err(Failure::Output),
         }
     })
 }
 
 /// Lets detectors look at the labelled images, and prints how well they do. Returns 2 when images or labels cannot be used.
-pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let (labels, sequence) = match open(&args.of) {
-        Ok(opened) => opened,
-        Err(message) => return refuse(&message, err),
-    };
+pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    let (labels, sequence) = open(&args.of)?;
     let mut detectors = [("learned", Detector::Learned), ("skin", Detector::Skin)]
         .map(|(name, detector)| (name, DetectorArgs { detector }.of_images(None), DetectorScore::default()));
     let mut used = 0;
-    let played = sequence.each(|(name, image)| {
+    sequence.each(|(name, image)| {
         if let (Some(label), Ok(image)) = (labels.0.get(&name), image) {
             let each = detectors.iter_mut();
             each.for_each(|(_, find, score)| score.count(label.as_ref(), find.find(&image).as_ref()));
             used += 1;
         }
         true
-    });
-    if let Err(message) = played {
-        return refuse(&message, err);
-    }
+    })?;
     if used == 0 {
         let why =
             "no image has a label; `armarium vision label` with the same folder or recording makes them";
-        return refuse(&format!("{}: {why}", args.of.labels.display()), err);
+        return Err(format!("{}: {why}", args.of.labels.display()).into());
     }
     let scores: BTreeMap<_, _> = detectors.iter().map(|(name, _, score)| (*name, score)).collect();
     if args.json {

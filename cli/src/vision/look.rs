@@ -13,9 +13,9 @@ use armarium_visionx::{ColorModel, Region, RgbImage, annotate, components};
 use super::LookArgs;
 use super::album::Album;
 use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip, json, rounded};
+use crate::failure::Failure;
 use crate::render_findings::lines;
 
-/// What to search for.
 pub(super) enum Seek {
     /// The hand, its fingertips, and its gesture, as this detector sees them.
     Hand(Box<dyn HandDetector>),
@@ -34,15 +34,9 @@ pub(super) fn run(
     mut seek: Seek,
     out: &mut dyn Write,
     err: &mut dyn Write,
-) -> io::Result<u8> {
-    let files = match images_in(&args.images) {
-        Ok(files) => files,
-        Err((path, error)) => return refuse(&format!("{}: {error}", path.display()), err),
-    };
-    let mut album = match Album::of(&args.annotate, &files) {
-        Ok(album) => album,
-        Err(message) => return refuse(&message, err),
-    };
+) -> Result<u8, Failure> {
+    let files = images_in(&args.images).map_err(|(path, error)| format!("{}: {error}", path.display()))?;
+    let mut album = Album::of(&args.annotate, &files)?;
     let mut status = 0;
     for file in files {
         let name = file.display().to_string();
@@ -73,11 +67,6 @@ pub(super) fn recognizer(patterns: Option<&Path>) -> Result<Option<GestureRecogn
     GestureRecognizer::read(source).map(Some).map_err(|findings| lines(&findings))
 }
 
-pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
-    writeln!(err, "error: {message}")?;
-    Ok(2)
-}
-
 /// Prints the detections and draws them into the image.
 fn look(
     file: &str,
@@ -99,7 +88,6 @@ fn look(
     if as_json { json(&line, out) } else { line.text(out) }
 }
 
-/// The line about a hand.
 pub(super) fn hand_line(file: &str, hand: Option<&HandInPicture>) -> HandLine {
     let file = file.to_owned();
     let Some(hand) = hand else {
@@ -192,7 +180,8 @@ mod tests {
 
     fn looked(args: LookArgs, seek: Seek) -> (u8, String, String) {
         let (mut out, mut err) = (Vec::new(), Vec::new());
-        let status = run(&args, seek, &mut out, &mut err).expect("memory takes everything");
+        let done = run(&args, seek, &mut out, &mut err).or_else(|failure| failure.say(&mut err));
+        let status = done.expect("memory takes everything");
         let text = |bytes| String::from_utf8(bytes).expect("it is text");
         (status, text(out), text(err))
     }

@@ -17,7 +17,8 @@ use std::path::PathBuf;
 use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
 pub(crate) use look::color;
 
-/// Arguments of `vision`.
+use crate::failure::Failure;
+
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct VisionArgs {
     #[command(subcommand)]
@@ -46,7 +47,6 @@ enum VisionCommand {
     Figures(FiguresArgs),
 }
 
-/// Images, and how to print the results.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LookArgs {
     /// PNG or JPEG files, or folders of them.
@@ -59,7 +59,6 @@ pub(crate) struct LookArgs {
     pub(crate) json: bool,
 }
 
-/// The output of annotated images.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct AnnotateArgs {
     /// Write each image with its detections into this folder, as PNG; input images are never replaced.
@@ -76,7 +75,6 @@ pub(crate) enum Detector {
     Skin,
 }
 
-/// The detector to use.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct DetectorArgs {
     /// How hands are found.
@@ -84,7 +82,6 @@ pub(crate) struct DetectorArgs {
     pub(crate) detector: Detector,
 }
 
-/// Images, and how hands are found in them.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct FingertipArgs {
     #[command(flatten)]
@@ -93,7 +90,6 @@ pub(crate) struct FingertipArgs {
     pub(crate) detector: DetectorArgs,
 }
 
-/// Images, and the definition of gestures.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GestureArgs {
     #[command(flatten)]
@@ -105,7 +101,6 @@ pub(crate) struct GestureArgs {
     pub(crate) patterns: Option<PathBuf>,
 }
 
-/// Images, and the colour to search for.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct MarkerArgs {
     #[command(flatten)]
@@ -115,7 +110,6 @@ pub(crate) struct MarkerArgs {
     pub(crate) color: [u8; 3],
 }
 
-/// A sequence, and how to track it.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TrackArgs {
     /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
@@ -139,7 +133,6 @@ pub(crate) struct TrackArgs {
     pub(crate) model: Option<PathBuf>,
 }
 
-/// The data to learn from.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TrainArgs {
     /// Folders of images or recordings, one per sequence; none with --simulated.
@@ -161,7 +154,6 @@ pub(crate) struct TrainArgs {
     pub(crate) simulated: Option<u64>,
 }
 
-/// A sequence, and the labels of its images.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LabelledArgs {
     /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
@@ -175,7 +167,6 @@ pub(crate) struct LabelledArgs {
     pub(crate) labels: PathBuf,
 }
 
-/// The images to label.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LabelArgs {
     #[command(flatten)]
@@ -188,7 +179,6 @@ pub(crate) struct LabelArgs {
     pub(crate) port: u16,
 }
 
-/// Labelled images.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ScoreArgs {
     #[command(flatten)]
@@ -198,7 +188,6 @@ pub(crate) struct ScoreArgs {
     pub(crate) json: bool,
 }
 
-/// The amount of simulation.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct FiguresArgs {
     /// Number of seeds; each is used with three backgrounds.
@@ -241,28 +230,26 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// Executes the command. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
-///
-/// # Errors
-/// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    match &args.command {
-        VisionCommand::Gesture(args) => match look::recognizer(args.patterns.as_deref()) {
-            Ok(patterns) => {
-                let detector = args.detector.of_images(patterns);
-                look::run(&args.look, look::Seek::Hand(detector), out, err)
-            }
-            Err(message) => look::refuse(&message, err),
-        },
+    carry_out(&args.command, out, err).or_else(|failure| failure.say(err))
+}
+
+fn carry_out(command: &VisionCommand, out: &mut dyn Write, err: &mut dyn Write) -> Result<u8, Failure> {
+    match command {
+        VisionCommand::Gesture(args) => {
+            let detector = args.detector.of_images(look::recognizer(args.patterns.as_deref())?);
+            look::run(&args.look, look::Seek::Hand(detector), out, err)
+        }
         VisionCommand::Fingertips(args) => {
             look::run(&args.look, look::Seek::Hand(args.detector.of_images(None)), out, err)
         }
         VisionCommand::Skin(args) => look::run(args, look::Seek::Skin, out, err),
         VisionCommand::Marker(args) => look::run(&args.look, look::Seek::Marker(args.color), out, err),
         VisionCommand::Track(args) => track::run(args, out, err),
-        VisionCommand::Train(args) => train::run(args, out, err),
-        VisionCommand::Label(args) => label::label(args, out, err),
-        VisionCommand::Score(args) => label::score(args, out, err),
-        VisionCommand::Figures(args) => figures::run(*args, out),
+        VisionCommand::Train(args) => train::run(args, out),
+        VisionCommand::Label(args) => label::label(args, out),
+        VisionCommand::Score(args) => label::score(args, out),
+        VisionCommand::Figures(args) => Ok(figures::run(*args, out)?),
     }
 }
 

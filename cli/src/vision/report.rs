@@ -79,14 +79,12 @@ pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     (value * scale).round() / scale
 }
 
-/// A line of JSON.
 pub(super) fn json(line: &impl Serialize, out: &mut dyn Write) -> io::Result<()> {
     serde_json::to_writer(&mut *out, line)?;
     writeln!(out)
 }
 
 impl HandLine {
-    /// The line for people.
     pub(super) fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(hand) = &self.hand else { return writeln!(out, "{}: no hand", self.file) };
         let gesture = self.gesture.as_deref().unwrap_or("no gesture");

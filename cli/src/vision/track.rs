@@ -9,26 +9,18 @@ use armarium_visionx::{RgbImage, annotate};
 
 use super::TrackArgs;
 use super::album::Album;
-use super::look::{hand_line, refuse};
+use super::look::hand_line;
 use super::report::{ErrorLine, HandLine, Tip, json, rounded};
 use super::sequence::Sequence;
+use crate::failure::Failure;
 use crate::render_findings::lines;
 
 /// Tracks and prints. Returns 2 when the sequence or one of its images cannot be used, 1 when an annotated image
 /// cannot be written.
-pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let model = match model(args.model.as_deref()) {
-        Ok(model) => model,
-        Err(message) => return refuse(&message, err),
-    };
-    let sequence = match Sequence::open(&args.folder, args.topic.as_deref()) {
-        Ok(sequence) => sequence,
-        Err(message) => return refuse(&message, err),
-    };
-    let mut album = match Album::of(&args.annotate, sequence.files()) {
-        Ok(album) => album,
-        Err(message) => return refuse(&message, err),
-    };
+pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) -> Result<u8, Failure> {
+    let model = model(args.model.as_deref())?;
+    let sequence = Sequence::open(&args.folder, args.topic.as_deref())?;
+    let mut album = Album::of(&args.annotate, sequence.files())?;
     let mut follower = TipFollower::new(args.detector.of_sequence(), model, args.focal);
     let (mut status, mut failed) = (0u8, Ok(()));
     let played = sequence.each(|(name, image)| {
@@ -43,10 +35,8 @@ pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) ->
         failed.is_ok()
     });
     failed?;
-    match played {
-        Ok(()) => Ok(status),
-        Err(message) => refuse(&message, err),
-    }
+    played?;
+    Ok(status)
 }
 
 /// The model in a file, or the built-in one.

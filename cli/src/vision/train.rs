@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::Path;
 
 use armarium_experiments::fingertips::{RATE_HZ, simulated_paths};
@@ -11,36 +11,28 @@ use armarium_visionx::tracking::{FingerARModel, TipFollower};
 use nalgebra::Point2;
 
 use super::TrainArgs;
-use super::look::refuse;
 use super::sequence::Sequence;
+use crate::failure::Failure;
 
 /// The positions of one fingertip, frame by frame, normalised; not finite where it was not seen.
 type Path2 = Vec<Point2<f64>>;
 
 /// Learns and saves. Returns 2 when there is no data to learn from, 1 when the model cannot be written.
-pub(super) fn run(args: &TrainArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+pub(super) fn run(args: &TrainArgs, out: &mut dyn Write) -> Result<u8, Failure> {
     let mut paths = Vec::new();
     for folder in &args.folders {
-        match seen(folder, args) {
-            Ok(found) => paths.extend(found),
-            Err(message) => return refuse(&message, err),
-        }
+        paths.extend(seen(folder, args)?);
     }
     if let Some(sequences) = args.simulated {
         if (args.rate - RATE_HZ).abs() > 1e-9 {
-            return refuse(&format!("simulated sequences have {RATE_HZ} images a second"), err);
+            return Err(format!("simulated sequences have {RATE_HZ} images a second").into());
         }
         paths.extend((0..sequences).flat_map(simulated_paths));
     }
-    let model = match FingerARModel::fit(&paths, args.rate) {
-        Ok(model) => model,
-        Err(error) => return refuse(&error.to_string(), err),
-    };
+    let model = FingerARModel::fit(&paths, args.rate).map_err(|error| error.to_string())?;
     let shown = args.output.display();
-    if let Err(error) = fs::write(&args.output, model.to_yaml()) {
-        writeln!(err, "error: {shown}: {error}")?;
-        return Ok(1);
-    }
+    fs::write(&args.output, model.to_yaml())
+        .map_err(|error| Failure::Refused(format!("{shown}: {error}")))?;
     let deviation = model.noise.diagonal().map(f64::sqrt);
     writeln!(
         out,

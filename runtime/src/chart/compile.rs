@@ -212,9 +212,9 @@ impl<'t> Compiler<'t> {
         message: String,
         known: impl IntoIterator<Item = &'n str>,
     ) {
-        let mut findings = Findings::new(Arc::clone(&self.tree.sources[site.source as usize]));
-        findings.unknown(code, (at.span, &at.text), message, known, None);
-        self.findings.append(&mut findings.list);
+        self.reporting(site.source, |_, findings| {
+            findings.unknown(code, (at.span, &at.text), message, known, None);
+        });
     }
 
     /// Compiles a state; what is written at it goes to `transitions` and `watches`.

@@ -138,7 +138,7 @@ fn term(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<(
             let terms: Vec<_> = items.iter().map(|n| term(n, scope, findings)).collect();
             let terms: Vec<(Term, Type)> = terms.into_iter().collect::<Option<_>>()?;
             if terms.iter().all(|(t, _)| matches!(t, Term::Literal(_))) {
-                return Some((Term::Literal(node.literal().unescape()), Type::Any));
+                return Some((Term::Literal(unescape(node.literal())), Type::Any));
             }
             let list = terms.into_iter().map(|(t, _)| t).collect();
             Some((Term::List(list), Type::list(Type::Any)))
@@ -149,7 +149,7 @@ fn term(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<(
                 terms.push((key.text.clone(), term(node, scope, findings)?.0));
             }
             if terms.iter().all(|(_, t)| matches!(t, Term::Literal(_))) {
-                return Some((Term::Literal(node.literal().unescape()), Type::Any));
+                return Some((Term::Literal(unescape(node.literal())), Type::Any));
             }
             Some((Term::Map(terms), Type::map(Type::Any)))
         }
@@ -198,17 +198,11 @@ fn text(text: &str, span: Span, scope: &Scope<'_, '_>, findings: &mut Findings) 
 }
 
 /// `$${` in the texts of a literal is `${`.
-trait Unescape {
-    fn unescape(self) -> Self;
-}
-
-impl Unescape for Value {
-    fn unescape(self) -> Self {
-        match self {
-            Self::String(s) => Self::String(s.replace("$${", "${")),
-            Self::List(items) => Self::List(items.into_iter().map(Self::unescape).collect()),
-            Self::Map(fields) => Self::Map(fields.into_iter().map(|(k, v)| (k, v.unescape())).collect()),
-            other => other,
-        }
+fn unescape(literal: Value) -> Value {
+    match literal {
+        Value::String(s) => Value::String(s.replace("$${", "${")),
+        Value::List(items) => Value::List(items.into_iter().map(unescape).collect()),
+        Value::Map(fields) => Value::Map(fields.into_iter().map(|(k, v)| (k, unescape(v))).collect()),
+        other => other,
     }
 }

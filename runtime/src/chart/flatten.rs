@@ -54,20 +54,15 @@ pub(super) struct Flat<'l> {
     pub(super) outputs: Vec<(String, u32, Type)>,
 }
 
-/// What a state stands for, where that is found outside of its file.
+/// What a state stands for, where that is found outside of its file; `Nothing` also where it could not be found.
 #[derive(Debug)]
 pub(super) enum Inside<'l> {
-    /// Nothing, or something that could not be found.
     Nothing,
     Skill(Arc<SkillManifest>),
-    Chart {
-        chart: &'l Chart,
-        instance: u32,
-    },
+    Chart { chart: &'l Chart, instance: u32 },
 }
 
 impl Flat<'_> {
-    /// Its own name.
     pub(super) fn name(&self) -> &str {
         &self.model.name.text
     }

@@ -4,167 +4,107 @@
 use armarium_source::yaml::{Node, Yaml};
 use armarium_source::{Edit, FormKey, Remedy, Source, Span};
 
-/// A group of words and what they are here.
-type Words = (&'static [&'static str], &'static str);
-
-/// Words, and what they are here.
-const WORDS: &[Words] = &[
+/// Words of other languages, with `|` between them, and what they are here.
+const WORDS: &[(&str, &str)] = &[
     (
-        &[
-            "on",
-            "eventTransitions",
-            "Transitions",
-            "event_transitions",
-            "events",
-            "event",
-            "eventName",
-            "target",
-        ],
+        "on|eventTransitions|Transitions|event_transitions|events|event|eventName|target",
         "in Armarium this is `transitions: {event: Target}`",
     ),
+    ("type", "in Armarium the keys say what a state is: `states`, `parallel`, `final`, `history`, `skill`"),
+    ("entry|onEntry|onentry|on_entry|on entry|onEnter", "in Armarium this is `enter: [action, ...]`"),
+    ("onExit|onexit|on_exit|on exit|onBreak", "in Armarium this is `exit: [action, ...]`"),
     (
-        &["type"],
-        "in Armarium the keys say what a state is: `states`, `parallel`, `final`, `history`, `skill`",
-    ),
-    (
-        &["entry", "onEntry", "onentry", "on_entry", "on entry", "onEnter"],
-        "in Armarium this is `enter: [action, ...]`",
-    ),
-    (&["onExit", "onexit", "on_exit", "on exit", "onBreak"], "in Armarium this is `exit: [action, ...]`"),
-    (
-        &["invoke", "call", "task", "activity", "activities", "src", "Action", "actors", "spawn"],
+        "invoke|call|task|activity|activities|src|Action|actors|spawn",
         "in Armarium a state runs a skill: `skill: Name`",
     ),
     (
-        &[
-            "context",
-            "datamodel",
-            "data",
-            "preamble",
-            "variables",
-            "vars",
-            "localParameters",
-            "LocalParameters",
-            "userdata",
-            "blackboard",
-            "SetBlackboard",
-        ],
+        "context|datamodel|data|preamble|variables|vars|localParameters|LocalParameters|userdata|\
+         blackboard|SetBlackboard",
         "in Armarium a chart's variables are `locals: {name: {type: ..., default: ...}}`",
     ),
     (
-        &[
-            "inputParameters",
-            "InputParameters",
-            "input_ports",
-            "input_keys",
-            "input",
-            "params",
-            "parameters",
-            "args",
-            "arguments",
-            "param",
-            "remapping",
-            "inputMapping",
-            "ParameterMappings",
-            "ParameterMapping",
-        ],
+        "inputParameters|InputParameters|input_ports|input_keys|input|params|parameters|args|arguments|\
+         param|remapping|inputMapping|ParameterMappings|ParameterMapping",
         "in Armarium a state is given values by `with`, and a chart declares `inputs`",
     ),
     (
-        &[
-            "outputParameters",
-            "OutputParameters",
-            "output_ports",
-            "output_keys",
-            "output",
-            "outputMapping",
-            "donedata",
-            "content",
-        ],
+        "outputParameters|OutputParameters|output_ports|output_keys|output|outputMapping|donedata|content",
         "in Armarium a chart declares `outputs`, and `assign` sets them",
     ),
     (
-        &["guard", "guards", "cond", "condition", "when", "unless", "Condition", "IfThenElse", "WhileDoElse"],
+        "guard|guards|cond|condition|when|unless|Condition|IfThenElse|WhileDoElse",
         "in Armarium this is `if: \"expression\"`",
     ),
     (
-        &["actions", "action", "script", "Script", "finalize", "autoforward"],
+        "actions|action|script|Script|finalize|autoforward",
         "in Armarium these are `enter` and `exit` at a state, `do` at a transition",
     ),
-    (&["to", "goto", "next", "destination", "nextState"], "in Armarium this is `target: State`"),
+    ("to|goto|next|destination|nextState", "in Armarium this is `target: State`"),
     (
-        &["initialState", "initial state", "start", "startState", "entry_point", "StartState", "root state"],
+        "initialState|initial state|start|startState|entry_point|StartState|root state",
         "in Armarium this is `initial: State`",
     ),
     (
-        &["parallel states", "regions", "orthogonal", "Parallel", "ReactiveParallel"],
+        "parallel states|regions|orthogonal|Parallel|ReactiveParallel",
         "in Armarium this is `parallel: {Region: ...}`",
     ),
-    (&["timeout", "delay", "Timeout", "Delay", "delays"], "in Armarium this is `after: {5s: Target}`"),
+    ("timeout|delay|Timeout|Delay|delays", "in Armarium this is `after: {5s: Target}`"),
     (
-        &[
-            "Retry",
-            "RetryUntilSuccessful",
-            "num_attempts",
-            "max_attempts",
-            "retries",
-            "repeat",
-            "Repeat",
-            "KeepRunningUntilFailure",
-        ],
+        "Retry|RetryUntilSuccessful|num_attempts|max_attempts|retries|repeat|Repeat|\
+         KeepRunningUntilFailure",
         "in Armarium this is `retry: {times: 3, wait: 1s}`",
     ),
     (
-        &["Sequence", "SequenceNode", "ReactiveSequence", "sequence", "children"],
+        "Sequence|SequenceNode|ReactiveSequence|sequence|children",
         "in Armarium a sequence is `states` whose `success` leads to the next: `transitions: {success: Next, failure: Failed}`",
     ),
     (
-        &["Fallback", "Selector", "ReactiveFallback", "fallback"],
+        "Fallback|Selector|ReactiveFallback|fallback",
         "in Armarium an alternative is a state to which `failure` leads: `transitions: {failure: Other}`",
     ),
     (
-        &["Inverter", "ForceSuccess", "ForceFailure", "AlwaysFailure", "AlwaysSuccess", "Decorator"],
+        "Inverter|ForceSuccess|ForceFailure|AlwaysFailure|AlwaysSuccess|Decorator",
         "in Armarium the transitions say where each outcome leads: `{success: Failed, failure: Done}`",
     ),
     (
-        &["SubTree", "SubTreePlus", "machine", "substate", "include", "RemoteState"],
+        "SubTree|SubTreePlus|machine|substate|include|RemoteState",
         "in Armarium another chart is `statechart: Name`",
     ),
-    (&["EndState"], "in Armarium this is `Name: {final: outcome}`"),
-    (&["meta", "tags"], "in Armarium what is for people is `description`"),
-    (&["priority"], "in Armarium inner states come first, then the order in the file"),
-    (&["trigger", "emit", "raise"], "in Armarium this is an action: `enter: [{raise: event}]`"),
+    ("EndState", "in Armarium this is `Name: {final: outcome}`"),
+    ("meta|tags", "in Armarium what is for people is `description`"),
+    ("priority", "in Armarium inner states come first, then the order in the file"),
+    ("trigger|emit|raise", "in Armarium this is an action: `enter: [{raise: event}]`"),
     (
-        &["send", "assign", "log", "cancel", "foreach", "do"],
+        "send|assign|log|cancel|foreach|do",
         "in Armarium actions stand under `enter` or `exit`, or `do` at a transition",
     ),
     (
-        &["if", "switch", "choice", "choose", "junction"],
+        "if|switch|choice|choose|junction",
         "in Armarium a choice is `always: [{if: \"expression\", target: State}, Other]`",
     ),
     (
-        &["every", "interval", "loop"],
+        "every|interval|loop",
         "in Armarium a state that is entered again and again leads to itself: `after: {5s: Name}`",
     ),
     (
-        &["autonomy"],
+        "autonomy",
         "in Armarium nobody has to confirm a transition; an event that a person sends is declared under `events`",
     ),
     (
-        &["reenter", "external"],
+        "reenter|external",
         "in Armarium a transition to a state leaves and enters it anew; `internal: true` keeps it",
     ),
-    (&["id", "name"], "in Armarium the key above is the name of a state"),
-    (&["eventless", "automatic"], "in Armarium this is `always: Target`"),
+    ("id|name", "in Armarium the key above is the name of a state"),
+    ("eventless|automatic", "in Armarium this is `always: Target`"),
     (
-        &["onDone", "onError", "done", "error", "outcomes"],
+        "onDone|onError|done|error|outcomes",
         "in Armarium outcomes are events: `transitions: {success: ..., failure: ...}`",
     ),
     (
-        &["contract", "preconditions", "postconditions", "invariants"],
+        "contract|preconditions|postconditions|invariants",
         "in Armarium what must hold while a state is active is a `watch`",
     ),
-    (&["state", "substates", "LocalState", "scxml"], "in Armarium this is `states: {Name: ...}`"),
+    ("state|substates|LocalState|scxml", "in Armarium this is `states: {Name: ...}`"),
 ];
 
 /// Words for which another key of the same form stands here.
@@ -226,7 +166,7 @@ pub(super) fn meant(
     {
         return Some((help, Some(*same).filter(|same| has_form_of(same, node))));
     }
-    let (_, help) = WORDS.iter().find(|(words, _)| words.contains(&key))?;
+    let (_, help) = WORDS.iter().find(|(words, _)| words.split('|').any(|word| word == key))?;
     let same = SAME.iter().find(|(_, words)| words.contains(&key)).map(|(same, _)| *same);
     Some((help, same.filter(|same| has_form_of(same, node))))
 }

@@ -31,12 +31,7 @@ pub fn load(path: &Path, search_dirs: &[PathBuf]) -> Library {
 
 /// As [`load`], with files that may be other than on the disk.
 pub fn load_from(path: &Path, search_dirs: &[PathBuf], files: &dyn Files) -> Library {
-    let mut library = Library {
-        root: String::new(),
-        charts: BTreeMap::new(),
-        findings: Vec::new(),
-        stand_ins: BTreeMap::new(),
-    };
+    let mut library = unread();
     let source = match files.read(path) {
         Ok(source) => source,
         Err(finding) => {
@@ -57,14 +52,13 @@ pub fn load_from(path: &Path, search_dirs: &[PathBuf], files: &dyn Files) -> Lib
     library
 }
 
+fn unread() -> Library {
+    Library { root: String::new(), charts: BTreeMap::new(), findings: Vec::new(), stand_ins: BTreeMap::new() }
+}
+
 /// Reads a chart from text; the charts that it names are looked for in `search_dirs`.
 pub fn load_text(name: &str, text: &str, search_dirs: &[PathBuf]) -> Library {
-    let mut library = Library {
-        root: String::new(),
-        charts: BTreeMap::new(),
-        findings: Vec::new(),
-        stand_ins: BTreeMap::new(),
-    };
+    let mut library = unread();
     library.add_root(Arc::new(Source::new(name, text)), search_dirs, &Disk);
     library
 }

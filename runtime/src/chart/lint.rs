@@ -72,10 +72,6 @@ impl Lint<'_, '_> {
         self.tree.state(state).model.name.span
     }
 
-    fn ids(&self) -> std::ops::Range<StateId> {
-        1..u32::try_from(self.program.states.len()).unwrap_or(u32::MAX)
-    }
-
     /// Events that nobody raises. Returns those that are misspelt: where a transition has them, and what was probably meant.
     fn unknown_events(
         &mut self,
@@ -90,7 +86,7 @@ impl Lint<'_, '_> {
             return misspelt;
         }
         // A skill or chart that could not be found may end in any way, and raise anything.
-        let missing: BTreeSet<StateId> = self.ids().filter(|id| self.is_missing(*id)).collect();
+        let missing: BTreeSet<StateId> = self.program.ids().filter(|id| self.is_missing(*id)).collect();
         let around: BTreeSet<StateId> = missing.iter().flat_map(|id| self.program.outward(*id)).collect();
         // Sorted in the end: it has an entry for each outcome at each state around.
         let mut seen: Vec<(StateId, &str)> = Vec::new();
@@ -101,17 +97,15 @@ impl Lint<'_, '_> {
             }
         }
         // A watch whose condition is wrong is not in the program; that its event never comes follows from that.
-        let models = self.ids().map(|id| (id, self.tree.state(id).model));
+        let models = self.program.ids().map(|id| (id, self.tree.state(id).model));
         for (id, watch) in models.flat_map(|(id, model)| model.watch.iter().map(move |watch| (id, watch))) {
             seen.extend(self.program.outward(id).map(|state| (state, watch.name.text.as_str())));
         }
         seen.sort_unstable();
         seen.dedup();
         let seen_at = |state: StateId, name: &str| seen.binary_search(&(state, name)).is_ok();
-        let mut broadcast: BTreeSet<String> = BTreeSet::new();
-        for name in ["error.execution", "error.queue", "error.communication", "error.channel"] {
-            broadcast.insert(name.to_owned());
-        }
+        let errors = ["error.execution", "error.queue", "error.communication", "error.channel"];
+        let mut broadcast: BTreeSet<String> = errors.map(str::to_owned).into();
         for chart in library.charts.values() {
             broadcast.extend(chart.events.iter().map(|(event, _)| event.text.clone()));
             raised(&chart.root, &mut broadcast);
@@ -120,7 +114,7 @@ impl Lint<'_, '_> {
             Pattern::Exact(event) | Pattern::Prefix(event) => event.starts_with("done"),
             _ => false,
         });
-        for id in self.ids() {
+        for id in self.program.ids() {
             let state = self.program.state(id);
             let ends = || missing.contains(&id) || can_end(self.program, id, &|end| reached[end as usize]);
             if ends_matter && ends() {
@@ -131,7 +125,7 @@ impl Lint<'_, '_> {
             }
         }
         let mut unknown = 0;
-        for id in self.ids() {
+        for id in self.program.ids() {
             let model = self.tree.state(id).model;
             for transition in &model.transitions {
                 let Some(event) = &transition.event else { continue };
@@ -192,7 +186,7 @@ impl Lint<'_, '_> {
         let program = self.program;
         let done = event.strip_prefix("done.state.");
         let of = match done {
-            Some(name) => self.ids().find(|id| program.state(*id).name == name)?,
+            Some(name) => self.program.ids().find(|id| program.state(*id).name == name)?,
             None if event == "success" => at,
             None => return None,
         };
@@ -288,7 +282,7 @@ impl Lint<'_, '_> {
     }
 
     fn unreachable(&mut self, reached: &[bool]) {
-        for id in self.ids() {
+        for id in self.program.ids() {
             let parent = self.program.state(id).parent.unwrap_or(0);
             if !reached[id as usize] && reached[parent as usize] {
                 let message = format!("the state `{}` cannot be reached", self.program.state(id).name);
@@ -299,7 +293,7 @@ impl Lint<'_, '_> {
     }
 
     fn shadowed(&mut self) {
-        for id in self.ids() {
+        for id in self.program.ids() {
             let model = self.tree.state(id).model;
             let lists = [&model.transitions, &model.always];
             for list in lists {
@@ -327,7 +321,7 @@ impl Lint<'_, '_> {
 
     fn limbs(&mut self) {
         let limbs = Limbs::new(self.program, true);
-        for id in self.ids() {
+        for id in self.program.ids() {
             let state = self.program.state(id);
             if !matches!(state.kind, Kind::Parallel) {
                 continue;

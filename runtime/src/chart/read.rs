@@ -26,34 +26,9 @@ const OTHER_KINDS: [(&str, &str); 4] = [
     ("object", "an object class of prior knowledge"),
 ];
 
-const RESERVED: &[&str] = &[
-    "inputs",
-    "locals",
-    "outputs",
-    "event",
-    "channels",
-    "true",
-    "false",
-    "null",
-    "in",
-    "as",
-    "break",
-    "const",
-    "continue",
-    "else",
-    "for",
-    "function",
-    "if",
-    "import",
-    "let",
-    "loop",
-    "package",
-    "namespace",
-    "return",
-    "var",
-    "void",
-    "while",
-];
+/// Words of the language and of CEL, which are no names.
+const RESERVED: &str = "inputs locals outputs event channels true false null in as break const continue else for function if import \
+                        let loop package namespace return var void while";
 
 /// What other languages call types.
 const TYPES_ELSEWHERE: [(&str, &str); 15] = [
@@ -77,7 +52,11 @@ const TYPES_ELSEWHERE: [(&str, &str); 15] = [
 /// Whether a text can be the name of a state, an input or an output.
 #[must_use]
 pub fn is_name(text: &str) -> bool {
-    has_form(text) && !RESERVED.contains(&text)
+    has_form(text) && !is_reserved(text)
+}
+
+fn is_reserved(text: &str) -> bool {
+    RESERVED.split(' ').any(|word| word == text)
 }
 
 fn has_form(text: &str) -> bool {
@@ -151,7 +130,7 @@ impl ChartReader<'_> {
                 if meant.starts_with(|c: char| c.is_ascii_digit()) { format!("_{meant}") } else { meant };
             let help = is_name(&meant).then(|| format!("write `{meant}`, here and where it is used"));
             self.findings.error_help(code::NAME, name.span, message, help);
-        } else if RESERVED.contains(&name.text.as_str()) {
+        } else if is_reserved(&name.text) {
             self.error(code::NAME, name.span, format!("`{}` is a word of the language", name.text));
         }
     }
@@ -420,12 +399,8 @@ impl ChartReader<'_> {
             let named = TYPES_ELSEWHERE.iter().find(|(word, _)| text.text.eq_ignore_ascii_case(word));
             if let Some((_, same)) = named {
                 let message = format!("there is no type `{}`", text.text);
-                self.error_help(
-                    code::DECLARED_TYPE,
-                    text.span,
-                    &message,
-                    &format!("in Armarium this is `{same}`"),
-                );
+                let help = format!("in Armarium this is `{same}`");
+                self.error_help(code::DECLARED_TYPE, text.span, &message, &help);
                 self.findings.remedy(Remedy::replace(text.span, *same));
                 return Type::Any;
             }

@@ -264,14 +264,10 @@ impl Environment for Scope<'_, '_> {
 
     fn state(&self, path: &str) -> Result<u32, Unresolved> {
         let parts: Vec<&str> = path.split('.').collect();
-        self.names.tree.find(self.site.state, &parts).map_or_else(
-            || {
-                let near = nearest(path, self.names.visible(self.site.state)).map(str::to_owned);
-                let message = format!("there is no state `{path}` here");
-                Err(Unresolved::new(Unknown::State, message, near, None))
-            },
-            Ok,
-        )
+        self.names.tree.find(self.site.state, &parts).ok_or_else(|| {
+            let near = nearest(path, self.names.visible(self.site.state)).map(str::to_owned);
+            Unresolved::new(Unknown::State, format!("there is no state `{path}` here"), near, None)
+        })
     }
 }
 

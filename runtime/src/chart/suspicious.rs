@@ -99,15 +99,11 @@ impl Suspects<'_, '_> {
         self.findings.append(&mut findings.list);
     }
 
-    fn ids(&self) -> std::ops::Range<StateId> {
-        1..u32::try_from(self.program.states.len()).unwrap_or(u32::MAX)
-    }
-
     /// Regions without an end, where the end of the parallel state around them is waited for: by a transition, or, around
     /// everything, by another region that ends.
     fn never_ends(&mut self) {
         let reached = reached(self.program);
-        for id in self.ids() {
+        for id in self.program.ids() {
             let state = self.program.state(id);
             if !matches!(state.kind, Kind::Parallel) {
                 continue;
@@ -133,7 +129,7 @@ impl Suspects<'_, '_> {
                 let help = "give the region a final state, or leave the parallel state by another event";
                 self.add(Severity::Warning, code::ENDLESS, region, message, help);
                 // Of several states to which nothing follows, it is not known which is meant.
-                let mut last = self.ids().filter(|id| self.can_be_final(*id, region));
+                let mut last = self.program.ids().filter(|id| self.can_be_final(*id, region));
                 if let (Some(last), None) = (last.next(), last.next()) {
                     self.end_at(last);
                 }
@@ -153,15 +149,16 @@ impl Suspects<'_, '_> {
             kind => matches!(kind, Kind::Parallel),
         };
         // What a waiting state without watches and actions cannot get: it neither fails nor errs.
-        let any = !events.is_empty() || !self.program.watches.is_empty() || self.ids().any(sources);
+        let any = !events.is_empty() || !self.program.watches.is_empty() || self.program.ids().any(sources);
         let never = |event: &str| match event {
             "failure" | "error.execution" => true,
             "*" | "error.*" => !any,
             _ => false,
         };
-        let finals = self.ids().filter(|id| matches!(self.program.state(*id).kind, Kind::Final { .. }));
+        let finals =
+            self.program.ids().filter(|id| matches!(self.program.state(*id).kind, Kind::Final { .. }));
         let ending: BTreeSet<StateId> = finals.filter_map(|id| self.program.state(id).parent).collect();
-        for id in self.ids() {
+        for id in self.program.ids() {
             let state = self.program.state(id);
             let leads_on = |id: StateId| {
                 let of = self.program.state(id);
@@ -222,7 +219,7 @@ impl Suspects<'_, '_> {
 
     /// Limits that are looser than those around them.
     fn loose_limits(&mut self) {
-        for id in self.ids() {
+        for id in self.program.ids() {
             let flat = self.tree.state(id);
             let Some(around) = flat.parent.map(|parent| self.tree.state(parent).limits) else { continue };
             let (own, held) = (flat.model.limits, flat.limits);
@@ -237,13 +234,8 @@ impl Suspects<'_, '_> {
                 let message = format!(
                     "the {what} of {own} {unit} in `{name}` has no effect: around it {around} {unit} holds"
                 );
-                self.add(
-                    Severity::Warning,
-                    code::UNUSED,
-                    id,
-                    message,
-                    "an inner state can only tighten limits",
-                );
+                let help = "an inner state can only tighten limits";
+                self.add(Severity::Warning, code::UNUSED, id, message, help);
             }
         }
     }
@@ -252,7 +244,7 @@ impl Suspects<'_, '_> {
     fn restless(&mut self) {
         let mut told = BTreeSet::new();
         let mut followed = vec![false; self.program.states.len()];
-        for id in self.ids() {
+        for id in self.program.ids() {
             let mut way = vec![id];
             while let Some(next) = way.last().and_then(|at| self.at_once(*at)) {
                 if let Some(from) = way.iter().position(|s| *s == next) {
@@ -266,18 +258,12 @@ impl Suspects<'_, '_> {
                                 names.join(" -> ")
                             ),
                         };
-                        self.add(
-                            Severity::Error,
-                            code::RESTLESS,
-                            next,
-                            message,
-                            "add `if`, or wait with `after`",
-                        );
+                        let help = "add `if`, or wait with `after`";
+                        self.add(Severity::Error, code::RESTLESS, next, message, help);
                         let waits = self.after_for_always(next);
-                        self.findings
-                            .last_mut()
-                            .into_iter()
-                            .for_each(|finding| finding.remedy = waits.clone());
+                        if let Some(finding) = self.findings.last_mut() {
+                            finding.remedy = waits;
+                        }
                     }
                     break;
                 }
@@ -487,11 +473,8 @@ impl Written<'_> {
         for declared in chart.inputs.iter().chain(&chart.locals).chain(&chart.outputs) {
             let text = declared.default.as_ref().and_then(Value::as_str);
             if let Some(text) = text.filter(|text| self.meant(text).is_some()) {
-                let at = place_of(
-                    chart,
-                    &[HeadSection::Inputs, HeadSection::Locals, HeadSection::Outputs],
-                    &declared.name,
-                );
+                let sections = [HeadSection::Inputs, HeadSection::Locals, HeadSection::Outputs];
+                let at = place_of(chart, &sections, &declared.name);
                 let message = format!("the default of `{}` is the text `{text}`", declared.name);
                 let help =
                     "a default is no expression: set the value with `assign` where it is known".to_owned();

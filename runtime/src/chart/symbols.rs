@@ -8,84 +8,30 @@ use armarium_source::{Source, Span};
 /// A thing that has a name.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Symbol {
     /// A chart.
-    Chart {
-        /// Its name.
-        chart: String,
-    },
-    /// A state.
-    State {
-        /// The chart that it is written in.
-        chart: String,
-        /// Its path there.
-        path: String,
-    },
+    Chart { chart: String },
+    /// A state, by its path in the chart that it is written in.
+    State { chart: String, path: String },
     /// Something that the head of a chart declares.
-    Declared {
-        /// The chart.
-        chart: String,
-        /// The section of the head.
-        section: HeadSection,
-        /// Its name.
-        name: String,
-    },
+    Declared { chart: String, section: HeadSection, name: String },
     /// An event that charts declare, raise or answer.
-    Event {
-        /// Its name.
-        name: String,
-    },
-    /// A watch.
-    Watch {
-        /// The chart.
-        chart: String,
-        /// The path of its state.
-        state: String,
-        /// Its name.
-        name: String,
-    },
-    /// How a state with states inside, or a chart, ends.
-    Outcome {
-        /// The chart.
-        chart: String,
-        /// The path of the state; empty for the chart itself.
-        state: String,
-        /// The outcome.
-        name: String,
-    },
+    Event { name: String },
+    /// A watch, with the path of its state.
+    Watch { chart: String, state: String, name: String },
+    /// How a state with states inside, or a chart, ends; `state` is a path, empty for the chart itself.
+    Outcome { chart: String, state: String, name: String },
     /// A skill of the program, or of another agent: `agent/Name`.
-    Skill {
-        /// Its name.
-        skill: String,
-    },
+    Skill { skill: String },
     /// An input, output, outcome or event of a skill.
-    OfSkill {
-        /// The skill.
-        skill: String,
-        /// What it is.
-        part: SkillPart,
-        /// Its name.
-        name: String,
-    },
-    /// A channel, or a field of it.
-    Channel {
-        /// The channel.
-        channel: String,
-        /// The names of the fields down to the one that is meant.
-        fields: Vec<String>,
-    },
+    OfSkill { skill: String, part: SkillPart, name: String },
+    /// A channel, or the field of it that the names in `fields` lead down to.
+    Channel { channel: String, fields: Vec<String> },
     /// An attribute of the entities of a core segment of memory.
-    Attribute {
-        /// The core segment.
-        segment: String,
-        /// Its name.
-        name: String,
-    },
+    Attribute { segment: String, name: String },
     /// A function of expressions.
-    Function {
-        /// Its name.
-        name: String,
-    },
+    Function { name: String },
 }
 
 /// A section of a chart's head.

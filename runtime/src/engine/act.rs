@@ -34,6 +34,12 @@ const MAX_ACTIONS: u32 = 100_000;
 /// Largest number of parts that the data of all waiting events may have together.
 const MAX_CARRIED: usize = 10 * MAX_PARTS;
 
+impl Turn<'_> {
+    fn failed(&self, message: impl Into<String>, place: SourcePlace) -> Failed {
+        Failed::new(message, self.program.place(place))
+    }
+}
+
 impl Engine {
     #[inline]
     fn view<'v>(&'v self, turn: &Turn<'v>) -> RunContext<'v> {
@@ -45,10 +51,10 @@ impl Engine {
             Term::Literal(value) => Ok(value.clone()),
             Term::Expr(code) => {
                 let view = self.view(turn);
-                let failed = |message| Failed::new(message, turn.program.place(code.place));
-                let value = code.expr.evaluate(&view).map_err(|e| failed(e.message))?;
+                let value = code.expr.evaluate(&view).map_err(|e| turn.failed(e.message, code.place))?;
                 if value.deeper_than(MAX_LEVELS) {
-                    return Err(failed(format!("lists and maps are nested deeper than {MAX_LEVELS} levels")));
+                    let message = format!("lists and maps are nested deeper than {MAX_LEVELS} levels");
+                    return Err(turn.failed(message, code.place));
                 }
                 Ok(value)
             }
@@ -61,7 +67,7 @@ impl Engine {
                     }
                     if let (Term::Expr(code), true) = (part, text.len() > MAX_TEXT) {
                         let message = format!("the text has more than {MAX_TEXT} bytes");
-                        return Err(Failed::new(message, turn.program.place(code.place)));
+                        return Err(turn.failed(message, code.place));
                     }
                 }
                 Ok(Value::String(text))
@@ -90,7 +96,7 @@ impl Engine {
             *parts += value.parts();
             if *parts > MAX_PARTS {
                 let message = format!("this makes a value of more than {MAX_PARTS} parts");
-                return Err(Failed::new(message, turn.program.place(code.place)));
+                return Err(turn.failed(message, code.place));
             }
         }
         Ok(value)
@@ -123,8 +129,7 @@ impl Engine {
                 let value = if declaration.holds(&value) {
                     value
                 } else {
-                    let wrong =
-                        |error| Failed::new(format!("`{variable}`: {error}"), turn.program.place(*place));
+                    let wrong = |error| turn.failed(format!("`{variable}`: {error}"), *place);
                     declaration.accept(value).map_err(wrong)?
                 };
                 turn.trace(|p| TraceItem::Assigned {
@@ -132,15 +137,14 @@ impl Engine {
                     value: value.clone(),
                 });
                 if !self.store.assign(*slot, value) {
-                    let message = "the chart's variables hold too much";
-                    return Err(Failed::new(message, turn.program.place(*place)));
+                    return Err(turn.failed("the chart's variables hold too much", *place));
                 }
             }
             Action::Raise { event, data, place } => {
                 let data = self.optional(data.as_ref(), turn)?;
                 let event = Event::new(*event, data, Origin::Broadcast);
                 if self.internal.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
-                    return Err(Failed::new("too many events are waiting", turn.program.place(*place)));
+                    return Err(turn.failed("too many events are waiting", *place));
                 }
                 self.internal.push_back(event);
             }
@@ -168,7 +172,7 @@ impl Engine {
             Action::If { condition, then, otherwise } => {
                 let view = self.view(turn);
                 let holds = turn.program.test(condition, &view);
-                let holds = holds.map_err(|e| Failed::new(e.message, turn.program.place(condition.place)))?;
+                let holds = holds.map_err(|e| turn.failed(e.message, condition.place))?;
                 return Ok(self.act(if holds { then } else { otherwise }, state, turn));
             }
             Action::Foreach { items, slot, body, place } => {
@@ -177,12 +181,11 @@ impl Engine {
                     Value::Map(fields) => fields.into_keys().map(Value::String).collect(),
                     other => {
                         let message = format!("expected a list, found {}", other.describe());
-                        return Err(Failed::new(message, turn.program.place(*place)));
+                        return Err(turn.failed(message, *place));
                     }
                 };
                 if items.len() > MAX_ITEMS {
-                    let message = format!("a list of more than {MAX_ITEMS} items");
-                    return Err(Failed::new(message, turn.program.place(*place)));
+                    return Err(turn.failed(format!("a list of more than {MAX_ITEMS} items"), *place));
                 }
                 for item in items {
                     self.store.data[*slot as usize] = Some(item);
@@ -207,7 +210,7 @@ impl Engine {
             Some(term) => Some(self.evaluate(term, turn)?.as_str().unwrap_or_default().to_owned()),
         };
         if to.as_ref().is_some_and(String::is_empty) {
-            return Err(Failed::new("`to` names no agent", turn.program.place(send.place)));
+            return Err(turn.failed("`to` names no agent", send.place));
         }
         let event = Event::new(send.event, data, Origin::Broadcast);
         let Some(delay) = &send.delay else {
@@ -216,13 +219,10 @@ impl Engine {
         };
         let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
         if !seconds.is_finite() || seconds < 0.0 {
-            return Err(Failed::new(
-                format!("{seconds} s is not a time to wait"),
-                turn.program.place(send.place),
-            ));
+            return Err(turn.failed(format!("{seconds} s is not a time to wait"), send.place));
         }
         if self.timers.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
-            return Err(Failed::new("too many delayed events are waiting", turn.program.place(send.place)));
+            return Err(turn.failed("too many delayed events are waiting", send.place));
         }
         self.start_timer(TimerUse::Send { id: send.id.clone(), event, to }, seconds, u64::MAX - 2, turn);
         Ok(())

@@ -37,9 +37,8 @@ impl Engine {
     pub(super) fn outcome_of_skill(&mut self, state: StateId, result: SkillResult, turn: &Turn<'_>) -> Event {
         let program = turn.program;
         let origin = Origin::Outcome { state, entry: self.runs[state as usize].entry, region_end: false };
-        let declared = match &program.state(state).kind {
-            Kind::Skill { manifest } => manifest,
-            _ => return Event::new(FAILURE, Value::Null, origin),
+        let Kind::Skill { manifest: declared } = &program.state(state).kind else {
+            return Event::new(FAILURE, Value::Null, origin);
         };
         match checked(declared, result) {
             Ok((name, outputs)) => {
@@ -126,25 +125,21 @@ impl Engine {
     /// How a failure without a reason of its own was reached.
     fn way_to(&self, state: StateId, program: &Program) -> String {
         let name = program.path(state);
-        match self.store.event.as_ref() {
-            Some(event) => match event.origin {
-                Origin::Outcome { state: from, .. } => {
-                    let from = program.path(from);
-                    format!("`{from}` ended with `{}`, which leads to `{name}`", event.name(program))
-                }
-                Origin::Watch { state: from, .. } => {
-                    format!(
-                        "the watch `{}` of `{}` leads to `{name}`",
-                        event.name(program),
-                        program.path(from)
-                    )
-                }
-                Origin::After { state: from, .. } => {
-                    format!("the time of `{}` was over, which leads to `{name}`", program.path(from))
-                }
-                _ => format!("the event `{}` leads to `{name}`", event.name(program)),
-            },
-            None => format!("a transition without an event leads to `{name}`"),
+        let Some(event) = &self.store.event else {
+            return format!("a transition without an event leads to `{name}`");
+        };
+        let said = event.name(program);
+        match event.origin {
+            Origin::Outcome { state: from, .. } => {
+                format!("`{}` ended with `{said}`, which leads to `{name}`", program.path(from))
+            }
+            Origin::Watch { state: from, .. } => {
+                format!("the watch `{said}` of `{}` leads to `{name}`", program.path(from))
+            }
+            Origin::After { state: from, .. } => {
+                format!("the time of `{}` was over, which leads to `{name}`", program.path(from))
+            }
+            _ => format!("the event `{said}` leads to `{name}`"),
         }
     }
 

@@ -6,7 +6,6 @@ use armarium_values::Value;
 
 use crate::program::{EventNumber, FAILURE, Program, StateId, UNKNOWN};
 
-/// The origin of an event.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Origin {
     /// All active states see it.

@@ -10,88 +10,45 @@ use crate::program::StateId;
 use crate::skill::{Limits, SkillResult};
 use crate::trace::TraceItem;
 
-/// An input of the engine.
+/// An input of the engine. `activation` is the number of a skill's start, `entry` the entry of the state that a watch was armed
+/// in, `place` is `file:line:column`; a state is given by its path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "input", rename_all = "snake_case")]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Input {
     /// A skill returned, cancelled or not.
-    SkillEnded {
-        /// Number of its start.
-        activation: u64,
-        /// How it ended.
-        result: SkillResult,
-    },
+    SkillEnded { activation: u64, result: SkillResult },
     /// A cancelled skill has not returned within its grace.
-    SkillStuck {
-        /// Number of its start.
-        activation: u64,
-    },
+    SkillStuck { activation: u64 },
     /// Somebody chooses how the skill of a state ends: it is cancelled, and counts as ended with this outcome.
     Choose {
-        /// The state's path.
         state: String,
         /// `success`, `failure`, or one that the skill declares.
         outcome: String,
     },
     /// An event for all active states: from a skill that runs, or from outside.
-    Event {
-        /// Its name.
-        name: String,
-        /// What comes with it.
-        data: Value,
-    },
+    Event { name: String, data: Value },
     /// A timer ran out.
-    Timer {
-        /// Its number.
-        timer: u64,
-    },
+    Timer { timer: u64 },
     /// A watch fired.
-    Watch {
-        /// Its number.
-        watch: u32,
-        /// The entry of the state that it was armed in.
-        entry: u64,
-    },
+    Watch { watch: u32, entry: u64 },
     /// An expression of a watch failed.
-    WatchFailed {
-        /// Its number.
-        watch: u32,
-        /// The entry of the state that it was armed in.
-        entry: u64,
-        /// What happened.
-        message: String,
-        /// `file:line:column`.
-        place: String,
-    },
+    WatchFailed { watch: u32, entry: u64, message: String, place: String },
     /// A watch reads a number that is NaN: its condition counts as false, and `error.channel` is raised.
-    WatchBlind {
-        /// Its number.
-        watch: u32,
-        /// What happened.
-        message: String,
-        /// `file:line:column`.
-        place: String,
-    },
+    WatchBlind { watch: u32, message: String, place: String },
     /// Stop everything: all skills are cancelled, the run ends as `stopped`.
-    Stop {
-        /// Why.
-        reason: String,
-    },
+    Stop { reason: String },
     /// An external cause makes it impossible to continue: as `Stop`, but the run ends as `failure`.
-    Abort {
-        /// Why.
-        reason: String,
-    },
+    Abort { reason: String },
 }
 
-/// An effect: something for the driver to carry out.
+/// An effect: something for the driver to carry out. `activation` is the number of a skill's start in the run.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Effect {
     /// Start a skill.
     StartSkill {
-        /// Number of this start in the run.
         activation: u64,
-        /// The state that runs it.
         state: StateId,
         /// Its name in the registry.
         skill: String,
@@ -100,48 +57,19 @@ pub enum Effect {
         /// Bounds from the chart.
         limits: Limits,
     },
-    /// Tell a skill to stop. The driver then reports it as ended or as stuck.
-    Cancel {
-        /// Number of its start.
-        activation: u64,
-        /// How long it may take.
-        grace: Duration,
-    },
-    /// Start a timer. Of timers that expire at one instant, those with lower `order` are reported first.
-    StartTimer {
-        /// Its number.
-        timer: u64,
-        /// Its duration.
-        after: Duration,
-        /// Inner states first, then the order in the file.
-        order: u64,
-    },
+    /// Tell a skill to stop within `grace`. The driver then reports it as ended or as stuck.
+    Cancel { activation: u64, grace: Duration },
+    /// Start a timer. Of timers that expire at one instant, those with lower `order` are reported first: inner states, then the
+    /// order in the file.
+    StartTimer { timer: u64, after: Duration, order: u64 },
     /// Cancel a timer.
-    CancelTimer {
-        /// Its number.
-        timer: u64,
-    },
-    /// Begin to sample a watch.
-    ArmWatch {
-        /// Its number.
-        watch: u32,
-        /// The entry of its state; it is reported with the watch.
-        entry: u64,
-    },
+    CancelTimer { timer: u64 },
+    /// Begin to sample a watch; `entry` is that of its state, and is reported with it.
+    ArmWatch { watch: u32, entry: u64 },
     /// Stop sampling a watch.
-    DisarmWatch {
-        /// Its number.
-        watch: u32,
-    },
-    /// Send an event to another agent.
-    Send {
-        /// Its name.
-        event: String,
-        /// The agent, or `agent/Chart`.
-        to: String,
-        /// What comes with it.
-        data: Value,
-    },
+    DisarmWatch { watch: u32 },
+    /// Send an event to another agent; `to` is the agent, or `agent/Chart`.
+    Send { event: String, to: String, data: Value },
     /// An item for the trace.
     Trace(TraceItem),
     /// The run has ended; the last effect.

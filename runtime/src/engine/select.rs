@@ -8,15 +8,6 @@ use super::state::{Microstep, RunContext, Turn};
 use super::{Engine, TraceItem};
 use crate::program::{EventNumber, FAILURE, Pattern, Program, StateId};
 
-/// The trigger of a selection.
-#[derive(Clone, Copy)]
-enum By {
-    /// An event.
-    Event(EventNumber),
-    /// No event: eventless transitions.
-    Nothing,
-}
-
 impl Engine {
     /// Handles one event: selects transitions, or applies the rule for events that no transition takes.
     pub(super) fn dispatch(&mut self, event: Event, turn: &mut Turn<'_>) {
@@ -41,7 +32,7 @@ impl Engine {
         match origin {
             Origin::Retry { state, .. } => self.begin_again(state, turn),
             Origin::Broadcast | Origin::Error(_) => {
-                let taken = self.select(By::Event(number), &served, turn);
+                let taken = self.select(Some(number), &served, turn);
                 if taken.is_empty() {
                     self.enabled = taken;
                     self.unhandled(origin, turn);
@@ -165,7 +156,7 @@ impl Engine {
 
     /// SCXML's selectEventlessTransitions, taken at once. Returns whether there were any.
     pub(super) fn take_always(&mut self, turn: &mut Turn<'_>) -> bool {
-        let mut taken = self.select(By::Nothing, &[], turn);
+        let mut taken = self.select(None, &[], turn);
         if self.unbreakable > 0 {
             taken.retain(|t| self.holder(*t, turn.program).is_none());
         }
@@ -177,8 +168,8 @@ impl Engine {
         true
     }
 
-    /// SCXML's selectTransitions, for the states that are not inside one of `served`.
-    fn select(&mut self, by: By, served: &[StateId], turn: &mut Turn<'_>) -> Vec<u32> {
+    /// SCXML's selectTransitions, for the states that are not inside one of `served`; without an event, those that need none.
+    fn select(&mut self, event: Option<EventNumber>, served: &[StateId], turn: &mut Turn<'_>) -> Vec<u32> {
         let tables = &turn.program.tables;
         let mut enabled = std::mem::take(&mut self.enabled);
         enabled.clear();
@@ -196,7 +187,7 @@ impl Engine {
                 if std::mem::replace(&mut self.runs[state as usize].seen, selection) == selection {
                     break;
                 }
-                if let Some(t) = self.first_enabled(state, by, turn) {
+                if let Some(t) = self.first_enabled(state, event, turn) {
                     enabled.push(t);
                     break;
                 }
@@ -216,9 +207,14 @@ impl Engine {
     }
 
     /// The first transition of a state, in the file's order, that matches and whose guard holds.
-    fn first_enabled(&mut self, state: StateId, by: By, turn: &mut Turn<'_>) -> Option<u32> {
+    fn first_enabled(
+        &mut self,
+        state: StateId,
+        event: Option<EventNumber>,
+        turn: &mut Turn<'_>,
+    ) -> Option<u32> {
         let program = turn.program;
-        let By::Event(number) = by else {
+        let Some(number) = event else {
             return program.tables.always(state).iter().copied().find(|t| self.guard(*t, turn));
         };
         let exact = program.tables.exact(state, number);

@@ -73,17 +73,13 @@ pub(super) enum TimerUse {
     Send { id: Option<String>, event: Event, to: Option<String> },
 }
 
-/// A microstep; it is carried out once all skills that it leaves have returned.
+/// A microstep: transitions to take, a state whose inside begins again, or the run's end. It is carried out once all skills that
+/// it leaves have returned.
 #[derive(Clone, Debug)]
 pub(super) enum Microstep {
     Take(Vec<u32>),
-    /// Restarts the inside of a state.
     Restart(StateId),
-    Finish {
-        outcome: String,
-        reason: Option<String>,
-        chain: Vec<String>,
-    },
+    Finish { outcome: String, reason: Option<String>, chain: Vec<String> },
 }
 
 #[derive(Clone, Debug)]

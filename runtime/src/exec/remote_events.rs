@@ -40,48 +40,26 @@ pub struct RemoteEvent {
 /// Why an event does not reach the charts that it is for.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum DeliveryError {
     /// No agent of that name answers in time.
     #[error("no agent `{agent}` answers")]
-    NoAgent {
-        /// The agent.
-        agent: String,
-    },
-    /// The agent runs no chart that it could be for.
+    NoAgent { agent: String },
+    /// The agent runs no chart that it could be for; `None` is any chart.
     #[error("`{agent}` runs no chart {}now", chart.as_ref().map_or(String::new(), |c| format!("`{c}` ")))]
-    NoChart {
-        /// The agent.
-        agent: String,
-        /// The chart; `None` for any.
-        chart: Option<String>,
-    },
+    NoChart { agent: String, chart: Option<String> },
     /// Two processes of that name have received it.
     #[error("two agents are called `{agent}`, the processes {} and {}, and both have heard it", .instances[0], .instances[1])]
-    TwoAgents {
-        /// The agent.
-        agent: String,
-        /// Two of the processes.
-        instances: [String; 2],
-    },
+    TwoAgents { agent: String, instances: [String; 2] },
     /// The queue of a chart is full.
     #[error("the chart `{chart}` has no room for `{event}`: too many events wait")]
-    QueueFull {
-        /// The chart.
-        chart: String,
-        /// The event.
-        event: String,
-    },
+    QueueFull { chart: String, event: String },
     /// The chart does not take it.
     #[error(transparent)]
     Refused(#[from] EventRefused),
     /// It has arrived, and changed nothing: no chart takes it as it is now.
     #[error("`{agent}` has it, but {reason}")]
-    Dropped {
-        /// The agent.
-        agent: String,
-        /// Why.
-        reason: String,
-    },
+    Dropped { agent: String, reason: String },
     /// The task that delivers it has ended.
     #[error("it was lost: {0}")]
     Lost(tokio::task::JoinError),
@@ -285,9 +263,8 @@ async fn deliver_all(
 ) {
     while let Some(sent) = events.recv().await {
         // What arrives and is not taken is no failure of the sender: nobody waits for it there now.
-        let delivered = transport.deliver(sent.clone()).await;
-        if let Err(why) = delivered
-            .or_else(|why| if matches!(why, DeliveryError::Dropped { .. }) { Ok(()) } else { Err(why) })
+        if let Err(why) = transport.deliver(sent.clone()).await
+            && !matches!(why, DeliveryError::Dropped { .. })
         {
             // If the run has ended, there is no receiver for this message.
             let _ = queue.send(undelivered(&sent, &why.to_string())).await.is_ok();

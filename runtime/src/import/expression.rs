@@ -112,10 +112,7 @@ pub(super) enum Untranslatable {
 
 use Untranslatable::Form;
 
-/// Parses an expression.
-///
-/// # Errors
-/// [`ExpressionError`] when it needs a data model, or is none.
+/// Parses an expression that needs no data model.
 pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, ExpressionError> {
     if text.len() > MAX_LEN {
         return Err(ExpressionError::TooLong);

@@ -51,7 +51,6 @@ pub struct Program {
     pub(crate) instances: Vec<Instance>,
     pub(crate) channels: Vec<String>,
     pub(crate) slots: u32,
-    /// The names of events.
     pub(crate) event_names: EventNames,
     pub(crate) tables: Tables,
     /// Input values by profile, as written.
@@ -109,27 +108,16 @@ pub(crate) struct Variable {
     pub(crate) slot: u32,
 }
 
+/// What a state is. A chart is its state's only child.
 #[derive(Debug)]
 pub(crate) enum Kind {
     Atomic,
-    Skill {
-        manifest: Arc<SkillManifest>,
-    },
-    /// Another chart inside this state, as its only child.
-    Chart {
-        instance: u32,
-    },
-    Composite {
-        initial: Entry,
-    },
+    Skill { manifest: Arc<SkillManifest> },
+    Chart { instance: u32 },
+    Composite { initial: Entry },
     Parallel,
-    Final {
-        outcome: EventNumber,
-    },
-    History {
-        deep: bool,
-        default: Entry,
-    },
+    Final { outcome: EventNumber },
+    History { deep: bool, default: Entry },
 }
 
 /// The states that are entered by default, and the actions that run then.
@@ -140,7 +128,6 @@ pub(crate) struct Entry {
 }
 
 pub(crate) struct State {
-    /// Its own name.
     pub(crate) name: String,
     /// Path from the chart down; the outermost chart's path is its own name.
     pub(crate) path: String,
@@ -277,25 +264,14 @@ const MAX_EVENTS_NAMED: usize = 6;
 /// Why a chart does not take an event.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum EventRefused {
-    /// It neither declares nor takes an event of that name.
+    /// It neither declares nor takes an event of that name; `help` names a similar one, or those that it takes.
     #[error("the chart `{chart}` takes no event `{event}`: {help}")]
-    Unknown {
-        /// The chart.
-        chart: String,
-        /// The event.
-        event: String,
-        /// A similar event, or those that it takes.
-        help: String,
-    },
+    Unknown { chart: String, event: String, help: String },
     /// The data are of another type than the chart declares.
     #[error("the data of `{event}`: {source}")]
-    Data {
-        /// The event.
-        event: String,
-        /// Why.
-        source: ConvertError,
-    },
+    Data { event: String, source: ConvertError },
 }
 
 impl Program {
@@ -429,9 +405,6 @@ impl Program {
     }
 
     /// Tests a condition of a guard or an action. It is false where it reads what memory knows nothing of.
-    ///
-    /// # Errors
-    /// [`EvalError`] for every other failure.
     pub(crate) fn test(&self, code: &Code, context: &impl EvalContext) -> Result<bool, EvalError> {
         let observed = |channel: &u32| self.observed_channels.contains(channel);
         match code.expr.test(context) {
@@ -482,6 +455,11 @@ impl Program {
 
     pub(crate) fn state(&self, state: StateId) -> &State {
         &self.states[state as usize]
+    }
+
+    /// All states but the run itself.
+    pub(crate) fn ids(&self) -> std::ops::Range<StateId> {
+        1..StateId::try_from(self.states.len()).unwrap_or(StateId::MAX)
     }
 
     /// Whether `inner` is `outer` or inside it.

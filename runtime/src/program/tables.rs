@@ -57,7 +57,6 @@ impl EventNames {
         self.numbers.get(name).copied()
     }
 
-    /// The name of a number.
     pub(crate) fn name(&self, number: EventNumber) -> &str {
         self.names.get(number as usize).map_or("", |name| &**name)
     }
@@ -115,12 +114,7 @@ fn at(list: &[u32]) -> u32 {
 
 impl Tables {
     pub(crate) fn new(event_names: &mut EventNames, states: &[State], transitions: &[Transition]) -> Self {
-        let mut tables = Self {
-            nodes: Vec::with_capacity(states.len()),
-            on: Vec::new(),
-            lists: Vec::new(),
-            jumps: Vec::new(),
-        };
+        let mut tables = Self { nodes: Vec::with_capacity(states.len()), ..Self::default() };
         for state in states {
             let (on_start, wild_start) = (tables.on.len(), at(&tables.lists));
             for t in &state.transitions {

@@ -56,20 +56,14 @@ impl fmt::Display for NameKind {
 /// Why a parameter refuses a value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum ParameterError {
     /// It has another type, or another unit.
     #[error(transparent)]
     Type(#[from] ConvertError),
-    /// The number is not within the bounds.
+    /// The number is not within the bounds; all are in SI.
     #[error("{value} is outside of the allowed range, {} to {}", bound(*.minimum), bound(*.maximum))]
-    Range {
-        /// The number, SI.
-        value: f64,
-        /// Smallest number that is allowed.
-        minimum: Option<f64>,
-        /// Largest number that is allowed.
-        maximum: Option<f64>,
-    },
+    Range { value: f64, minimum: Option<f64>, maximum: Option<f64> },
 }
 
 fn bound(bound: Option<f64>) -> String {
@@ -79,43 +73,23 @@ fn bound(bound: Option<f64>) -> String {
 /// Why a skill or chart cannot be started with the given inputs.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum InputError {
-    /// No input of that name.
+    /// No input of that name; `help` says what might be meant.
     #[error("there is no input `{name}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
-    Unknown {
-        /// The name.
-        name: String,
-        /// What might be meant.
-        help: Option<String>,
-    },
+    Unknown { name: String, help: Option<String> },
     /// The value does not fit.
     #[error("input `{name}`: {error}")]
-    Value {
-        /// The name.
-        name: String,
-        /// What is wrong.
-        error: ParameterError,
-    },
+    Value { name: String, error: ParameterError },
     /// An input without default was not given.
     #[error("the input `{name}` is needed, and was not given")]
-    Missing {
-        /// The name.
-        name: String,
-    },
+    Missing { name: String },
     /// The chart has no profile of that name.
     #[error("the chart has no profile `{name}`; it has: {known}")]
-    Profile {
-        /// The name.
-        name: String,
-        /// The profiles that it has.
-        known: String,
-    },
+    Profile { name: String, known: String },
 }
 
-/// Checks the given values against the parameters: converts them, checks the bounds, adds defaults.
-///
-/// # Errors
-/// [`InputError`] for a value that is unknown, missing, of another type, or out of bounds.
+/// Checks the given values against the parameters, converts them and adds defaults; an unknown or missing one is an error.
 pub(crate) fn inputs<'p>(
     parameters: impl Iterator<Item = &'p Parameter> + Clone,
     mut given: BTreeMap<String, Value>,

@@ -26,23 +26,14 @@ pub use coverage::{Coverage, Described};
 /// A call that the stepper cannot carry out; the chart is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum StepError {
-    /// There is no such state.
+    /// There is no state of this name or path; `help` is a similar name.
     #[error("the chart has no state `{state}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
-    State {
-        /// The name or path.
-        state: String,
-        /// A similar name.
-        help: Option<String>,
-    },
+    State { state: String, help: Option<String> },
     /// The state is not active, or has neither a running skill nor a watch of that name.
     #[error("`{state}` has no skill that runs and no armed watch `{name}`: `{name}` is dropped")]
-    NotExpected {
-        /// The state.
-        state: String,
-        /// The outcome or watch.
-        name: String,
-    },
+    NotExpected { state: String, name: String },
 }
 
 /// The active states and the chart's data.
@@ -186,7 +177,8 @@ impl Stepper {
 
     /// Raises an event that all active states see.
     pub fn event(&mut self, name: &str, data: Value) {
-        self.tell(Input::Event { name: name.to_owned(), data });
+        self.turn(Input::Event { name: name.to_owned(), data });
+        self.settle();
     }
 
     /// As [`Stepper::event`], for an event whose number is known (see [`Program::event`]).
@@ -353,11 +345,6 @@ impl Stepper {
         let named = |watch: &u32| program.event_names.name(program.watches[*watch as usize].name) == name;
         let watch = watches.find(named)?;
         Some((watch, self.agenda.armed(watch)?))
-    }
-
-    fn tell(&mut self, input: Input) {
-        self.turn(input);
-        self.settle();
     }
 
     fn turn(&mut self, input: Input) {

@@ -253,13 +253,8 @@ impl Check<'_> {
                 let used: Vec<String> = ids.filter_map(of).map(|manifest| manifest.name).collect();
                 let known = used.iter().map(String::as_str).chain(self.states.keys().map(String::as_str));
                 let known: Vec<String> = known.map(str::to_owned).collect();
-                self.unknown(
-                    code::SKILL,
-                    name.span,
-                    "skill or state",
-                    &name.text,
-                    known.iter().map(String::as_str),
-                );
+                let known = known.iter().map(String::as_str);
+                self.unknown(code::SKILL, name.span, "skill or state", &name.text, known);
                 None
             }
         }

@@ -16,113 +16,50 @@ use crate::stepping::{Coverage, RunningSkill, StepError, Stepper};
 /// Why a case fails.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum CaseError {
     /// An input is not what the chart declares.
     #[error("given {name}: {why}")]
-    Given {
-        /// The input.
-        name: String,
-        /// Why not.
-        why: StandInError,
-    },
+    Given { name: String, why: StandInError },
     /// The inputs do not fit the chart.
     #[error(transparent)]
     Inputs(#[from] InputError),
-    /// A step fails.
+    /// A step fails; the first has number 1.
     #[error("step {number}: {why}")]
-    Step {
-        /// Which, from 1.
-        number: usize,
-        /// Why.
-        why: Box<Self>,
-    },
+    Step { number: usize, why: Box<Self> },
     /// The chart does not understand what happens.
     #[error(transparent)]
     Refused(#[from] StepError),
     /// A channel's value is not what is declared.
     #[error("channel {channel}: {why}")]
-    Channel {
-        /// The channel.
-        channel: String,
-        /// Why not.
-        why: StandInError,
-    },
+    Channel { channel: String, why: StandInError },
     /// A script's output is not what the skill declares.
     #[error("{skill}: {output}: {why}")]
-    Output {
-        /// The skill.
-        skill: String,
-        /// The output.
-        output: String,
-        /// Why not.
-        why: StandInError,
-    },
+    Output { skill: String, output: String, why: StandInError },
     /// A script gives an output that the skill does not have.
     #[error("the skill {skill} gives no `{output}`")]
-    NoOutput {
-        /// The skill.
-        skill: String,
-        /// The output.
-        output: String,
-    },
+    NoOutput { skill: String, output: String },
     /// Something is not as expected.
     #[error("{what}: {found} instead of {expected}")]
-    Unlike {
-        /// What.
-        what: String,
-        /// What it is.
-        found: String,
-        /// What it should be.
-        expected: String,
-    },
-    /// The run goes on.
+    Unlike { what: String, found: String, expected: String },
+    /// The run goes on, with these innermost states active.
     #[error("the run has not ended: {active:?} are active")]
-    NotEnded {
-        /// The innermost active states.
-        active: Vec<String>,
-    },
+    NotEnded { active: Vec<String> },
     /// The run has ended otherwise.
     #[error("the outcome is `{found}` ({reason}) instead of `{expected}`")]
-    Outcome {
-        /// How it has ended.
-        found: String,
-        /// Why.
-        reason: String,
-        /// How it should have.
-        expected: String,
-    },
-    /// The run has failed, and no step expects that.
+    Outcome { found: String, reason: String, expected: String },
+    /// The run has failed through these states, and no step expects that.
     #[error("the run has failed in {states}: {reason}; if that is meant, add `expect: {{outcome: failure}}`")]
-    Failed {
-        /// The states that the failure came through.
-        states: String,
-        /// Why.
-        reason: String,
-    },
+    Failed { states: String, reason: String },
     /// The reason is another one.
     #[error("the reason is `{found}`, without `{expected}`")]
-    Reason {
-        /// The reason.
-        found: String,
-        /// What it should contain.
-        expected: String,
-    },
+    Reason { found: String, expected: String },
     /// Something was not logged.
     #[error("`{expected}` was not said; what was: {logs:?}")]
-    Log {
-        /// What was expected.
-        expected: String,
-        /// What was logged.
-        logs: Vec<String>,
-    },
+    Log { expected: String, logs: Vec<String> },
     /// An event was not sent.
     #[error("`{expected}` was not sent to another agent; what was: {sent:?}")]
-    Sent {
-        /// The event.
-        expected: String,
-        /// What was sent.
-        sent: Vec<String>,
-    },
+    Sent { expected: String, sent: Vec<String> },
 }
 
 impl TestFile {
@@ -230,7 +167,7 @@ impl Player<'_> {
     fn advance(&mut self, by: Duration) -> Result<(), CaseError> {
         let end = self.stepper.now() + by;
         loop {
-            self.plan()?;
+            self.plan();
             // What the chart does by itself on the way may start skills, whose endings are planned from then.
             let ending = self.endings.first_key_value().map(|(key, _)| *key);
             let own = self.stepper.next_instant().filter(|at| *at <= end);
@@ -249,14 +186,14 @@ impl Player<'_> {
             self.stepper.report(&running.path, &ending.outcome, data)?;
         }
         self.stepper.advance(end.saturating_sub(self.stepper.now()));
-        self.plan()?;
+        self.plan();
         self.logs.extend(self.stepper.take_logs());
         self.sent.extend(self.stepper.take_sent().into_iter().map(|sent| sent.event));
         Ok(())
     }
 
     /// Looks up how skills that were started end.
-    fn plan(&mut self) -> Result<(), CaseError> {
+    fn plan(&mut self) {
         for running in self.stepper.running() {
             if !self.known.insert(running.activation) {
                 continue;
@@ -276,7 +213,6 @@ impl Player<'_> {
             let at = self.stepper.now() + duration(ending.after);
             self.endings.insert((at, running.activation), (running, ending));
         }
-        Ok(())
     }
 
     /// What a skill gives: what is scripted, and something of the declared type for the rest.

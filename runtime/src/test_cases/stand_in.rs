@@ -20,9 +20,6 @@ pub enum StandInError {
 }
 
 /// A script's value as the declared type; poses, vectors and wrenches are maps of their parts.
-///
-/// # Errors
-/// [`StandInError`] when it is none of that type.
 pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, StandInError> {
     let value = match (ty, json) {
         (Type::Pose, Json::Object(_)) => Value::Pose(serde_json::from_value::<Pose>(json.clone())?),

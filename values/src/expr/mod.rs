@@ -92,37 +92,16 @@ impl Unresolved {
 
 /// A name of an expression that was resolved. Places are bytes of the expression, the second exclusive.
 #[derive(Clone, Copy, Debug)]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Found<'a> {
-    /// A dotted name, the first parts of which are a variable.
-    Variable {
-        /// The parts of the name.
-        parts: &'a [&'a str],
-        /// Where each stands.
-        places: &'a [(usize, usize)],
-        /// The variable.
-        variable: &'a Variable,
-    },
-    /// A channel whose name is given as text.
-    Channel {
-        /// The name.
-        name: &'a str,
-        /// Where it stands, without its quotes.
-        place: (usize, usize),
-    },
-    /// A state whose path is given as text.
-    State {
-        /// The path.
-        path: &'a str,
-        /// Where it stands, without its quotes.
-        place: (usize, usize),
-    },
+    /// A dotted name, the first parts of which are a variable; each part has a place.
+    Variable { parts: &'a [&'a str], places: &'a [(usize, usize)], variable: &'a Variable },
+    /// A channel whose name is given as text; its place is without the quotes.
+    Channel { name: &'a str, place: (usize, usize) },
+    /// A state whose path is given as text; its place is without the quotes.
+    State { path: &'a str, place: (usize, usize) },
     /// A function.
-    Function {
-        /// The name.
-        name: &'a str,
-        /// Where it stands.
-        place: (usize, usize),
-    },
+    Function { name: &'a str, place: (usize, usize) },
 }
 
 /// Resolves the names in an expression.

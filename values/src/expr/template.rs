@@ -2,16 +2,12 @@
 
 /// A part of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Piece {
     /// Literal text, with `$${` already turned into `${`.
     Text(String),
-    /// An expression and the byte at which it begins in the text.
-    Expr {
-        /// The text between the braces.
-        source: String,
-        /// Where it begins.
-        offset: usize,
-    },
+    /// The expression between the braces, and the byte at which it begins in the text.
+    Expr { source: String, offset: usize },
 }
 
 /// A `${` without its `}`.

@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use armarium_runtime::chart::{Chart, Outline, OutlineKind, OutlineState, OutlineTransition};
 
+use super::graph::outward;
+
 /// Most levels of charts in charts that are unfolded.
 const MAX_NESTED: usize = 16;
 
@@ -80,23 +82,20 @@ fn graft(outline: &mut Outline, at: usize, inner: Outline) {
 /// How many levels of states a chart has.
 #[must_use]
 pub fn levels(outline: &Outline) -> usize {
-    let outward = |state: usize| std::iter::successors(Some(state), |s| outline.states[*s].parent);
-    (0..outline.states.len()).map(|state| outward(state).count() - 1).max().unwrap_or(0)
+    (0..outline.states.len()).map(|state| outward(outline, state).count() - 1).max().unwrap_or(0)
 }
 
 /// The chart with `depth` levels of states; as [`close`].
 pub fn fold(outline: &Outline, depth: usize) -> Outline {
-    let outward = |state: usize| std::iter::successors(Some(state), |s| outline.states[*s].parent);
-    close(outline, &|state| outward(state).count() - 1 == depth)
+    close(outline, &|state| outward(outline, state).count() - 1 == depth)
 }
 
 /// The chart without the content of some states, which say how many states they have.
 /// Transitions of states that are not shown start or end at the state around them that is.
 pub fn close(outline: &Outline, is_closed: &dyn Fn(usize) -> bool) -> Outline {
-    let outward = |state: usize| std::iter::successors(Some(state), |s| outline.states[*s].parent);
     let shown: Vec<usize> =
-        (0..outline.states.len()).filter(|s| !outward(*s).skip(1).any(is_closed)).collect();
-    let place = |state: usize| outward(state).find_map(|s| shown.binary_search(&s).ok());
+        (0..outline.states.len()).filter(|s| !outward(outline, *s).skip(1).any(is_closed)).collect();
+    let place = |state: usize| outward(outline, state).find_map(|s| shown.binary_search(&s).ok());
     let places = |states: &[usize]| {
         let mut list: Vec<usize> = Vec::new();
         for at in states.iter().filter_map(|s| place(*s)) {

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use armarium_runtime::chart::{Outline, OutlineKind};
 
 use super::font::wrap;
-use super::graph::label;
+use super::graph::{label, outward};
 
 /// Longest line of a text, px.
 const WIDTH: f64 = 220.0;
@@ -70,7 +70,7 @@ fn edge(outline: &Outline, source: usize, target: usize, label: &str, out: &mut 
         attributes.push(format!("label={}", quoted(&[label.to_owned()])));
     }
     for (end, other, name) in [(source, target, "ltail"), (target, source, "lhead")] {
-        let mut around_other = std::iter::successors(Some(other), |s| outline.states[*s].parent);
+        let mut around_other = outward(outline, other);
         if !outline.states[end].children.is_empty() && around_other.all(|s| s != end) {
             attributes.push(format!("{name}=cluster_{end}"));
         }

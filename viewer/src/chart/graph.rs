@@ -102,7 +102,7 @@ impl Graph {
     }
 
     fn connect(&mut self, outline: &Outline, source: usize, target: usize, label: String) {
-        let (sources, targets) = (outward(outline, source), outward(outline, target));
+        let [sources, targets]: [Vec<usize>; 2] = [source, target].map(|s| outward(outline, s).collect());
         let level = sources.iter().copied().find(|s| targets.contains(s));
         let below = |list: &[usize]| {
             let at = list.iter().position(|s| Some(*s) == level)?;
@@ -183,8 +183,8 @@ fn append(label: &mut Vec<String>, more: &mut Vec<String>) {
 }
 
 /// A state and its ancestors, innermost first.
-fn outward(outline: &Outline, state: usize) -> Vec<usize> {
-    std::iter::successors(Some(state), |s| outline.states[*s].parent).collect()
+pub(super) fn outward(outline: &Outline, state: usize) -> impl Iterator<Item = usize> {
+    std::iter::successors(Some(state), |s| outline.states[*s].parent)
 }
 
 /// The path of a state below another.

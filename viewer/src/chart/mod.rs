@@ -62,22 +62,14 @@ pub enum Theme {
 /// Why a chart cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum DrawError {
-    /// The texts of a PNG of bounded size could not be read.
+    /// The texts of a PNG of bounded size could not be read; width and height are those of the picture, px.
     #[error("the picture, {width} by {height} px, is too large for PNG; write SVG, or fold states")]
-    TooLarge {
-        /// Width of the picture, px.
-        width: f64,
-        /// Height of the picture, px.
-        height: f64,
-    },
+    TooLarge { width: f64, height: f64 },
     /// The image could not be encoded.
     #[error("the image cannot be encoded")]
-    Png {
-        /// What the encoder says.
-        #[source]
-        source: image::ImageError,
-    },
+    Png { source: image::ImageError },
 }
 
 /// The chart in a form, as the content of a file. `theme` applies to SVG and PNG.

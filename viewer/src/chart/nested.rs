@@ -5,7 +5,7 @@ use armarium_runtime::chart::{Outline, OutlineKind};
 
 use super::font::{LINE, Weight, width};
 use super::geometry::{Point, Rect, Size};
-use super::graph::{Exit, Graph};
+use super::graph::{Exit, Graph, outward};
 use super::layers::{Direction, Drawing, Link, Route, draw};
 
 /// Space between a box and its content, px.
@@ -154,8 +154,7 @@ fn states(outline: &Outline, graph: &Graph, placed: &mut Placed, inside: Vec<Pla
         labels.push(label);
     };
     for target in &outline.states[state].initial {
-        let mut outward = std::iter::successors(Some(*target), |s| outline.states[*s].parent);
-        let Some(to) = outward.find_map(place) else { continue };
+        let Some(to) = outward(outline, *target).find_map(place) else { continue };
         let below = outline.states[state].children[to] != *target;
         let label = if below { vec![format!("› {}", outline.path(*target))] } else { Vec::new() };
         link(dot, to, label);

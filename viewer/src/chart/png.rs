@@ -20,10 +20,7 @@ const MIN_SCALE: f32 = 0.9;
 /// Distance of a Bézier curve's control points from the ends of a quarter of a circle, relative to its radius.
 const QUARTER: f64 = 0.5523;
 
-/// Writes a picture as PNG; [`Theme::Auto`] is light.
-///
-/// # Errors
-/// [`DrawError::TooLarge`] when the texts of an image of 64 million pixels would be too small.
+/// Writes a picture as PNG; [`Theme::Auto`] is light. Refused when the texts of an image of 64 million pixels would be too small.
 pub(super) fn png(scene: &Scene, theme: Theme) -> Result<Vec<u8>, DrawError> {
     let (width, height) = (scene.size.width.ceil() as f32, scene.size.height.ceil() as f32);
     let too_large = DrawError::TooLarge { width: width.into(), height: height.into() };

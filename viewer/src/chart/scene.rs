@@ -57,18 +57,14 @@ pub(super) enum Shape {
         /// The path of the state whose box it is.
         state: Option<String>,
     },
+    /// A line of straight and curved parts.
     Line(Vec<LineStep>),
     /// The triangle at the end of an arrow; the tip is in the middle.
     Head([Point; 3]),
     /// A dot: centre and radius.
     Dot(Point, f64),
     /// A line of text: left end of its base line.
-    Text {
-        at: Point,
-        text: String,
-        ink: Ink,
-        weight: Weight,
-    },
+    Text { at: Point, text: String, ink: Ink, weight: Weight },
 }
 
 /// A picture.

@@ -31,13 +31,8 @@ pub(crate) enum Refusal {
 pub(crate) enum Admission {
     /// Who asks by one of these names of this machine.
     ThisMachine(Vec<String>),
-    /// Who has the token, as part of the address or as this cookie.
-    Invited {
-        /// The cookie's name.
-        cookie: String,
-        /// The token.
-        token: String,
-    },
+    /// Who has the token, as part of the address or as the value of the cookie of this name.
+    Invited { cookie: String, token: String },
 }
 
 impl Admission {
@@ -53,9 +48,6 @@ impl Admission {
     }
 
     /// Refuses a request of somebody else. Returns the cookie that a browser is to keep, if it came with the token in the address.
-    ///
-    /// # Errors
-    /// [`Refusal`].
     pub(crate) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<Option<String>, Refusal> {
         let text =
             |name| headers.get(name).map(|value: &hyper::header::HeaderValue| value.to_str().unwrap_or(""));
@@ -95,9 +87,6 @@ fn is_same(given: &[u8], token: &str) -> bool {
 }
 
 /// Whether the request comes with the token of who acts.
-///
-/// # Errors
-/// [`Refusal::Token`].
 pub(crate) fn check_token(headers: &HeaderMap, token: &str) -> Result<(), Refusal> {
     let given = headers.get(TOKEN).map_or(&b""[..], hyper::header::HeaderValue::as_bytes);
     is_same(given, token).then_some(()).ok_or(Refusal::Token)

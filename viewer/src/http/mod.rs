@@ -133,10 +133,7 @@ impl<S: Site> Server<S> {
     }
 }
 
-/// What is posted by who has the token of the page, read as JSON.
-///
-/// # Errors
-/// [`Refusal::Token`]; inside, the answer to what is too long, too slow or something else.
+/// What is posted by who has the token of the page, read as JSON; inside, the answer to what is too long, too slow or something else.
 pub(crate) async fn posted<T: serde::de::DeserializeOwned>(
     request: Request<Incoming>,
     token: &str,

@@ -20,7 +20,6 @@ use crate::http::{Admission, Body, HTML, Refusal, SCRIPT, Server, Site, body, pl
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a frame is taken even if no browser requests it.
 const IDLE_INTERVAL: Duration = Duration::from_secs(5);
-/// Most pixels of a picture.
 const MAX_PIXELS: u64 = 64_000_000;
 /// The page: it requests the next frame when it has received the last.
 const PAGE: &str = include_str!("page.html");

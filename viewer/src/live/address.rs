@@ -22,23 +22,14 @@ pub struct PageAddress {
 
 /// Why a certificate cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum CertificateError {
     /// A file cannot be read, or holds something else.
     #[error("`{}` is no {what} as PEM: {reason}", .file.display())]
-    File {
-        /// The file.
-        file: PathBuf,
-        /// What was expected in it.
-        what: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
+    File { file: PathBuf, what: &'static str, reason: String },
     /// The key is that of another certificate, for instance.
     #[error("the certificate and its key cannot be used: {reason}")]
-    Pair {
-        /// What is wrong.
-        reason: String,
-    },
+    Pair { reason: String },
 }
 
 impl PageAddress {

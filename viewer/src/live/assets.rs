@@ -5,7 +5,6 @@ use crate::http::{HTML, SCRIPT};
 /// A file's path, media type and content.
 pub(super) type Asset = (&'static str, &'static str, &'static str);
 
-/// All files.
 pub(super) const ASSETS: [Asset; 10] = [
     ("/compare", HTML, include_str!("page/compare.html")),
     ("/compare.js", SCRIPT, include_str!("page/compare.js")),

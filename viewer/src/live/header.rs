@@ -49,34 +49,18 @@ pub struct Solid {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "form", rename_all = "snake_case")]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum SolidForm {
-    /// A box.
-    Box {
-        /// Its edges.
-        size: [f32; 3],
-    },
-    /// A ball.
-    Sphere {
-        /// Its radius.
-        size: [f32; 1],
-    },
-    /// A cylinder about z.
-    Cylinder {
-        /// Radius and length.
-        size: [f32; 2],
-    },
-    /// A cylinder about z with round ends.
-    Capsule {
-        /// Radius, and length without the ends.
-        size: [f32; 2],
-    },
-    /// A surface of triangles.
-    Mesh {
-        /// The corners.
-        vertices: Vec<[f32; 3]>,
-        /// Three corners each.
-        triangles: Vec<[u32; 3]>,
-    },
+    /// A box with these edges.
+    Box { size: [f32; 3] },
+    /// A ball with this radius.
+    Sphere { size: [f32; 1] },
+    /// A cylinder about z: its radius and length.
+    Cylinder { size: [f32; 2] },
+    /// A cylinder about z with round ends: its radius, and its length without the ends.
+    Capsule { size: [f32; 2] },
+    /// A surface of triangles, each of three numbers of vertices.
+    Mesh { vertices: Vec<[f32; 3]>, triangles: Vec<[u32; 3]> },
 }
 
 impl RunHeader {

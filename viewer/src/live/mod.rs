@@ -33,10 +33,11 @@ pub use runs::ShownRuns;
 pub use shown::{NewestImage, PageAnswer, ReportSoFar, ServedTimeline, ShownRun, ShownTimeline};
 pub use timeline::{MEMORY, Timeline};
 
-/// What somebody does to a run through its page.
+/// What somebody does to a run through its page. States are given by their paths.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum Action {
     /// Time stands still.
     Pause,
@@ -45,21 +46,15 @@ pub enum Action {
     /// It goes on until the next transition.
     Step,
     /// It pauses where one of these states is entered; replaces those before.
-    Breakpoints {
-        /// The paths of states.
-        states: Vec<String>,
-    },
+    Breakpoints { states: Vec<String> },
     /// An event for all active states.
     Event {
-        /// Its name.
         name: String,
-        /// Its data.
         #[serde(default)]
         data: serde_json::Value,
     },
     /// The skill of a state is cancelled, and counts as ended with this outcome.
     Outcome {
-        /// The state's path.
         state: String,
         /// `success`, `failure`, or one that the skill declares.
         outcome: String,

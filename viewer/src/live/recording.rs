@@ -23,23 +23,14 @@ const MOST_BYTES: usize = 256 << 20;
 /// Why a recording cannot be shown.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum ShowError {
     /// The file cannot be opened.
     #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        source: std::io::Error,
-    },
-    /// It has nothing of a run.
+    File { path: PathBuf, source: std::io::Error },
+    /// It has nothing of a run; `damage` is what is wrong with the file, if anything.
     #[error("{}: is no recording of a run{}; `armarium run` writes one, `run.mcap` beside its report", path.display(), damage.as_deref().map_or(String::new(), |damage| format!(" ({damage})")))]
-    NoRun {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        damage: Option<String>,
-    },
+    NoRun { path: PathBuf, damage: Option<String> },
 }
 
 impl Timeline {

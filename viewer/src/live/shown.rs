@@ -64,9 +64,6 @@ pub trait ShownRun: Send + Sync {
     fn may_act(&self) -> bool;
 
     /// Acts on it. Says whether time stands still after it.
-    ///
-    /// # Errors
-    /// [`ActionRefused`] with the reason.
     fn act(&self, action: Action) -> Result<bool, ActionRefused>;
 }
 

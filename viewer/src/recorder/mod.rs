@@ -56,46 +56,23 @@ impl Default for RecorderOptions {
 /// Why a recording cannot be created or completed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum RecorderError {
     /// The file cannot be created.
     #[error("cannot create the recording `{path}`")]
-    Create {
-        /// Its path.
-        path: String,
-        /// The operating system's error.
-        #[source]
-        source: std::io::Error,
-    },
+    Create { path: String, source: std::io::Error },
     /// The file cannot be written.
     #[error("cannot write the recording")]
     Write {
-        /// The writer's error.
-        #[source]
+        #[from]
         source: foxglove::FoxgloveError,
     },
     /// Foxglove's WebSocket cannot be served.
     #[error("port {port} of this machine, for Foxglove")]
-    Foxglove {
-        /// The port.
-        port: u16,
-        /// Foxglove's error.
-        #[source]
-        source: foxglove::FoxgloveError,
-    },
+    Foxglove { port: u16, source: foxglove::FoxgloveError },
     /// A message cannot be encoded.
     #[error("cannot encode a message for `{topic}`: {what}")]
-    Encode {
-        /// The topic.
-        topic: String,
-        /// The reason.
-        what: String,
-    },
-}
-
-impl From<foxglove::FoxgloveError> for RecorderError {
-    fn from(source: foxglove::FoxgloveError) -> Self {
-        Self::Write { source }
-    }
+    Encode { topic: String, what: String },
 }
 
 /// The file, which remembers why it could not be written first: what its writers say then is only that they cannot go on.
@@ -151,35 +128,16 @@ struct ImageTopic {
 /// A message of a run, as a recording has it. Topics with images, poses and joints have these only; all others have JSON.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the names of the fields say what they are")]
 pub enum RunMessage<'m> {
     /// A pose in the root frame, m; the topic's last part names the thing.
-    Pose {
-        /// The topic.
-        topic: &'m str,
-        /// The pose.
-        pose: &'m Isometry3<f64>,
-    },
-    /// The joints, rad or m.
-    Joints {
-        /// Their names.
-        names: &'m [String],
-        /// Their positions, in that order.
-        position: &'m [f64],
-    },
+    Pose { topic: &'m str, pose: &'m Isometry3<f64> },
+    /// The joints' names and positions, rad or m, in the same order.
+    Joints { names: &'m [String], position: &'m [f64] },
     /// A message in JSON.
-    Json {
-        /// The topic.
-        topic: &'m str,
-        /// Its text.
-        text: &'m str,
-    },
+    Json { topic: &'m str, text: &'m str },
     /// An image.
-    Image {
-        /// The topic.
-        topic: &'m str,
-        /// JPEG.
-        jpeg: &'m [u8],
-    },
+    Image { topic: &'m str, jpeg: &'m [u8] },
 }
 
 /// Takes the messages of a run while it is recorded, or from its recording.

@@ -42,16 +42,15 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
             range_of(inner.flat_map(|p| p.points.iter().map(move |point| point[axis])), 0.12)
         }),
     };
-    let paths: Vec<&Path> = plan.paths.iter().filter(|path| !path.points.is_empty()).collect();
+    let classes = classes(&plan.paths);
+    let mut lines: Vec<_> = plan.paths.iter().zip(&classes).collect();
+    lines.retain(|(path, _)| !path.points.is_empty());
     // A plan whose areas are empty is not drawn, and neither are its lines.
-    if cells.is_none() && (plan.cells.is_some() || paths.is_empty()) {
+    if cells.is_none() && (plan.cells.is_some() || lines.is_empty()) {
         return None;
     }
-    let classes = classes(&plan.paths);
     let kinds = plan.cells.iter().flat_map(|cells| &cells.kinds);
     let kinds = kinds.map(|(label, tone)| (label.clone(), area_class(*tone).to_owned(), Key::Area));
-    let lines = plan.paths.iter().zip(&classes).filter(|(path, _)| !path.points.is_empty());
-    let lines: Vec<_> = lines.collect();
     let entries: Vec<_> = kinds
         .chain(lines.iter().map(|(path, class)| (path.label.clone(), (*class).clone(), Key::Line)))
         .collect();
@@ -67,9 +66,8 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
     }
     svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| {
         // References are drawn on top; the lines below stay visible between their dashes.
-        let mut order = lines;
-        order.sort_by_key(|(path, _)| path.style == PathStyle::Reference);
-        for (path, class) in order {
+        lines.sort_by_key(|(path, _)| path.style == PathStyle::Reference);
+        for (path, class) in lines {
             let finite = path.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
             let points: Vec<[f64; 2]> = thinned(finite.map(|p| axes.point(p[0], p[1])));
             if matches!(path.style, PathStyle::Line | PathStyle::Reference)
