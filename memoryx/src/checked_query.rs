@@ -84,14 +84,8 @@ impl CheckedQuery<'_> {
             }
             Times::Index(from, to) => {
                 let held: Vec<_> = history.collect();
-                newest(
-                    &mut held
-                        .get(index_range(from, to, held.len()))
-                        .unwrap_or_default()
-                        .iter()
-                        .rev()
-                        .cloned(),
-                )
+                let range = index_range(from, to, held.len());
+                newest(&mut held.get(range).unwrap_or_default().iter().rev().cloned())
             }
             Times::At(time) => self.state_at(history, |s| s.referenced_ns <= time),
             Times::Before(time) => self.state_at(history, |s| s.referenced_ns < time),
@@ -260,11 +254,8 @@ impl Selection<'_> {
                 || query.most_bytes.is_some_and(|most| self.bytes >= most && !self.found.is_empty()))
     }
 
-    /// The whole answer.
-    ///
-    /// # Errors
-    /// [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be among what was not
-    /// looked at; when an entity is of another clock than the query's times.
+    /// The whole answer. [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be
+    /// among what was not looked at; when an entity is of another clock than the query's times.
     pub(crate) fn finish(self) -> Result<Answer, MemoryError> {
         let query = self.asked.query;
         if let (Some(id), Some(clock)) = (&self.other_clock, self.asked.clock) {
@@ -279,8 +270,7 @@ impl Selection<'_> {
         let (was_full, stopped) = (self.is_full(), self.stopped);
         let snapshots = self.asked.finish(self.found);
         let last = snapshots.last().filter(|_| was_full).map(|s| Cursor::after(s));
-        let next = last.or(stopped);
-        Ok(Answer { snapshots, next })
+        Ok(Answer { snapshots, next: last.or(stopped) })
     }
 }
 

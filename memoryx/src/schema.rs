@@ -140,9 +140,6 @@ fn misfit(ty: &Type, value: &Value) -> Option<Misfit> {
 }
 
 /// Checks what holds for every instance in any segment: confidence, depth, covariances.
-///
-/// # Errors
-/// [`MemoryError::Confidence`], [`MemoryError::Schema`].
 pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
     let refused = |attribute: &str, what: &str| {
         Err(MemoryError::Schema { id: id.to_string(), attribute: attribute.into(), what: what.into() })
@@ -165,10 +162,8 @@ pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), Memor
             None => return refused(name, "has a covariance, and is missing"),
         };
         if !is_covariance(covariance, size) {
-            return refused(
-                name,
-                &format!("needs a symmetric covariance of {size}x{size} numbers, not negative"),
-            );
+            let what = format!("needs a symmetric covariance of {size}x{size} numbers, not negative");
+            return refused(name, &what);
         }
     }
     Ok(())

@@ -201,10 +201,7 @@ pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, Code
     armarium_bus::decode(payload)
 }
 
-/// The encoding and the bytes of a payload.
-///
-/// # Errors
-/// [`CodecError::TooLong`] when the receiver would refuse the size: the sender can still react here.
+/// The encoding and the bytes of a payload. A size that the receiver would refuse is refused here, where the sender can react.
 pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecError> {
     let (bytes, most) = (armarium_bus::encode(content)?, Bounds::default().bytes);
     if bytes.len() > most {

@@ -56,10 +56,6 @@ impl LastSeen {
         Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
     }
 
-    fn of_head(head: &Head) -> Self {
-        Self { version: head.version, arrived_ns: head.arrived_ns }
-    }
-
     /// Whether the version is that of another snapshot, because the memory has counted anew.
     fn is_other(self, version: u64, arrived_ns: u64) -> bool {
         self.version == version && self.arrived_ns != 0 && self.arrived_ns != arrived_ns
@@ -102,8 +98,8 @@ impl Follower {
         let mut follower = Self::from_start(memory, pattern).await?;
         let heads = follower.memory.heads(follower.changes.pattern()).await?;
         follower.since_ns = heads.until_ns;
-        let reported = heads.entities.iter().map(|head| (head.id.clone(), LastSeen::of_head(head)));
-        follower.reported = reported.collect();
+        let last = |head: &Head| LastSeen { version: head.version, arrived_ns: head.arrived_ns };
+        follower.reported = heads.entities.iter().map(|head| (head.id.clone(), last(head))).collect();
         Ok((follower, heads.entities))
     }
 

@@ -169,13 +169,8 @@ impl Consolidator {
     /// When the store cannot be read.
     pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Result<Self, StoreError> {
         let noted = store.given_to_others()?;
-        let state = Mutex::new(ConsolidatorState {
-            noted,
-            given: noted,
-            given_before: noted,
-            ..ConsolidatorState::default()
-        });
-        Ok(Self { store, policies, state })
+        let state = ConsolidatorState { noted, given: noted, given_before: noted, ..Default::default() };
+        Ok(Self { store, policies, state: Mutex::new(state) })
     }
 
     /// The store that it writes to.

@@ -296,15 +296,9 @@ impl LongTermMemory {
         let file_bytes = self.path.as_ref().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len());
         self.with(|database| {
             let transaction = database.begin_read()?;
-            let meta = transaction.open_table(META)?;
-            let totals = Totals::read(&meta)?;
-            let entities = transaction.open_table(ENTITIES)?;
-            Ok(StoreStats {
-                entities: entities.len()?,
-                snapshots: totals.snapshots,
-                bytes: totals.bytes,
-                file_bytes,
-            })
+            let Totals { snapshots, bytes, .. } = Totals::read(&transaction.open_table(META)?)?;
+            let entities = transaction.open_table(ENTITIES)?.len()?;
+            Ok(StoreStats { entities, snapshots, bytes, file_bytes })
         })
     }
 }

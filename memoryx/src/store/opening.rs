@@ -28,7 +28,11 @@ impl LongTermMemory {
         };
         let result = self.contained(|| act(&open));
         self.closed(Some(open));
-        self.close_after(&result);
+        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
+        {
+            // The next use opens the file again.
+            self.close();
+        }
         self.release();
         result
     }
@@ -54,14 +58,6 @@ impl LongTermMemory {
         // Whoever still uses it closes it later.
         if open.as_ref().is_some_and(|open| Arc::strong_count(open) == 1) {
             self.closed(open.take());
-        }
-    }
-
-    /// Drops the database after a failure, so that the next use opens the file again.
-    fn close_after<T>(&self, result: &Result<T, StoreError>) {
-        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
-        {
-            self.close();
         }
     }
 

@@ -96,8 +96,7 @@ impl Reader {
 
     /// When the newest record of the oldest chunk arrived that retention has not come to, ns.
     pub(super) fn oldest_chunk(&self) -> Result<Option<u64>, Fault> {
-        let oldest = self.ages.first()?;
-        Ok(oldest.map(|(key, _)| key.value().0))
+        Ok(self.ages.first()?.map(|(key, _)| key.value().0))
     }
 
     /// Whether a record is forgotten, though its chunk is still there.
@@ -394,9 +393,6 @@ impl LongTermMemory {
     }
 
     /// As [`Self::scan`], but continues after damage: `act` also gets a description of each damaged place.
-    ///
-    /// # Errors
-    /// When the file cannot be read at all.
     pub(super) fn scan_intact(
         &self,
         mut act: impl FnMut(Result<Snapshot, RecordError>) -> bool,

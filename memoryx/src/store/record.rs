@@ -365,8 +365,7 @@ impl<'b> Cursor<'b> {
         let count = self.count()?;
         let mut pairs = Vec::with_capacity(count);
         for _ in 0..count {
-            let name = self.text()?;
-            pairs.push((name.into(), self.value(blobs, MAX_DEPTH)?));
+            pairs.push((self.text()?.into(), self.value(blobs, MAX_DEPTH)?));
         }
         let mut covariance = BTreeMap::new();
         for _ in 0..self.count()? {

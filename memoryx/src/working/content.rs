@@ -4,7 +4,6 @@
 use std::hash::{BuildHasherDefault, DefaultHasher};
 use std::mem::size_of;
 use std::ops::Bound::{Included, Unbounded};
-use std::ops::{Add, Sub};
 use std::sync::Arc;
 
 use armarium_values::Value;
@@ -74,26 +73,12 @@ pub(super) struct Usage {
     pub(super) updates: u64,
 }
 
-impl Add for Usage {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
+impl Usage {
+    fn changed(self, more: Self, less: Self) -> Self {
         Self {
-            entities: self.entities + other.entities,
-            bytes: self.bytes + other.bytes,
-            updates: self.updates + other.updates,
-        }
-    }
-}
-
-impl Sub for Usage {
-    type Output = Self;
-
-    fn sub(self, other: Self) -> Self {
-        Self {
-            entities: self.entities.saturating_sub(other.entities),
-            bytes: self.bytes.saturating_sub(other.bytes),
-            updates: self.updates.saturating_sub(other.updates),
+            entities: (self.entities + more.entities).saturating_sub(less.entities),
+            bytes: (self.bytes + more.bytes).saturating_sub(less.bytes),
+            updates: (self.updates + more.updates).saturating_sub(less.updates),
         }
     }
 }
@@ -247,8 +232,8 @@ impl Content {
     }
 
     fn count(&mut self, id: &EntityId, more: Usage, less: Usage) {
-        self.all = self.all + more - less;
-        let usage = self.usage(owner(id)) + more - less;
+        self.all = self.all.changed(more, less);
+        let usage = self.usage(owner(id)).changed(more, less);
         if usage.entities == 0 {
             self.usage.remove(owner(id));
         } else if let Some(known) = self.usage.get_mut(owner(id)) {

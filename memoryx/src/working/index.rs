@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_values::{Frame, Value};
+use armarium_values::Frame;
 use imbl::{OrdMap, OrdSet};
 
 use crate::checked_query::CheckedQuery;
@@ -28,10 +28,7 @@ pub(super) struct Index {
 
 /// What is found by of an entity.
 fn class_of(snapshot: &Snapshot) -> Option<&str> {
-    match snapshot.attribute("class")? {
-        Value::String(class) => Some(class),
-        _ => None,
-    }
+    snapshot.attribute("class")?.as_str()
 }
 
 /// The cell of a point; those that are very far away share the outermost cells.

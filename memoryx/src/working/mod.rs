@@ -279,8 +279,7 @@ impl WorkingMemory {
     /// # Errors
     /// As [`Memory::commit`].
     pub fn commit_now(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        let now = self.now_ns();
-        self.commit_sent(updates, now)
+        self.commit_sent(updates, self.now_ns())
     }
 
     /// [`Self::commit_now`] of updates that were sent at `sent_ns`.
@@ -319,8 +318,7 @@ impl WorkingMemory {
 
     /// Commits, also into read-only provider segments.
     pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        let now = self.now_ns();
-        self.commit_waiting(updates, now, true)
+        self.commit_waiting(updates, self.now_ns(), true)
     }
 
     fn commit_waiting(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
@@ -362,8 +360,7 @@ impl WorkingMemory {
         let mut next = Content::clone(&self.core.content());
         let (mut count, mut refused) = (0, None);
         for snapshot in snapshots {
-            let newest = next.newest(&snapshot.id).map_or(0, |s| s.version);
-            if snapshot.version <= newest {
+            if snapshot.version <= next.newest(&snapshot.id).map_or(0, |s| s.version) {
                 continue;
             }
             match self.core.fits(&snapshot, &next) {
@@ -429,9 +426,7 @@ impl WorkingMemory {
         self.core.content().select(&asked, &mut answer);
         answer.finish()
     }
-}
 
-impl WorkingMemory {
     /// [`Memory::subscribe`] without async.
     pub fn changes(&self, pattern: &Pattern) -> Changes {
         Changes::here(pattern.clone(), self.core.changes.subscribe())
