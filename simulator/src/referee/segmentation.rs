@@ -250,21 +250,18 @@ fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }
-    let table = table_of(
-        &own["things"],
-        &["thing", "#pixels", "#IoU at first", "#IoU", "moved as one", "taken for"],
-        |thing| {
-            let text = |value: &Value| Cell::Text(value.as_str().unwrap_or("-").to_owned());
-            vec![
-                Cell::Code(thing["name"].as_str().unwrap_or_default().to_owned()),
-                cell(thing, ("pixels", 1.0), "", 0),
-                cell(thing, ("first_iou", 1.0), "", 2),
-                cell(thing, ("iou", 1.0), "", 2),
-                Cell::Text(if thing["confirmed"] == true { "yes" } else { "no" }.to_owned()),
-                text(&thing["class"]),
-            ]
-        },
-    );
+    let titles = ["thing", "#pixels", "#IoU at first", "#IoU", "moved as one", "taken for"];
+    let table = table_of(&own["things"], &titles, |thing| {
+        let text = |value: &Value| Cell::Text(value.as_str().unwrap_or("-").to_owned());
+        vec![
+            Cell::Code(thing["name"].as_str().unwrap_or_default().to_owned()),
+            cell(thing, ("pixels", 1.0), "", 0),
+            cell(thing, ("first_iou", 1.0), "", 2),
+            cell(thing, ("iou", 1.0), "", 2),
+            Cell::Text(if thing["confirmed"] == true { "yes" } else { "no" }.to_owned()),
+            text(&thing["class"]),
+        ]
+    });
     let note = "What memory takes for things of their own, against the pixels that show each thing in the left eye: before any push, and at the end.";
     vec![Section::new("Things told apart", note, vec![Block::Table(table)])]
 }
