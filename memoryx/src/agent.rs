@@ -252,10 +252,7 @@ impl AgentMemory {
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be written.
     pub fn flush(&self) -> Result<(), MemoryError> {
-        match &self.kept {
-            Some(kept) => Ok(kept.flush().map(|_| ())?),
-            None => Ok(()),
-        }
+        self.kept.as_ref().map_or(Ok(()), |kept| Ok(kept.flush().map(|_| ())?))
     }
 }
 

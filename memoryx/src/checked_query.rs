@@ -60,10 +60,9 @@ impl CheckedQuery<'_> {
     }
 
     /// Selects from the snapshots of one entity that [`Self::wants`]. Input and output are in order of version.
-    pub fn select(&self, history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
+    pub fn select(&self, mut history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         let query = self.query;
         let limit = query.limit.unwrap_or(usize::MAX);
-        let mut history = history;
         let newest = |history: &mut dyn Iterator<Item = Arc<Snapshot>>| {
             let mut kept: Vec<_> = history.filter(|s| self.fits(s)).take(limit).collect();
             kept.reverse();
@@ -71,10 +70,7 @@ impl CheckedQuery<'_> {
         };
         match query.times {
             _ if limit == 0 => Vec::new(),
-            Times::Latest => {
-                let newest = history.next_back().filter(|s| self.may_answer(s) && self.fits(s));
-                newest.into_iter().collect()
-            }
+            Times::Latest => history.next_back().filter(|s| self.answers(s)).into_iter().collect(),
             Times::All => newest(&mut history.rev()),
             Times::Between(from, to) => {
                 newest(&mut history.rev().filter(|s| (from..=to).contains(&s.referenced_ns)))
@@ -129,9 +125,9 @@ impl CheckedQuery<'_> {
         found
     }
 
-    /// Whether a snapshot may be the answer where the query takes one per entity.
-    fn may_answer(&self, snapshot: &Snapshot) -> bool {
-        self.query.removed || !snapshot.is_removed()
+    /// Whether a snapshot is the answer where the query takes one per entity.
+    fn answers(&self, snapshot: &Snapshot) -> bool {
+        (self.query.removed || !snapshot.is_removed()) && self.fits(snapshot)
     }
 
     /// Whether a snapshot that `times` selects passes all other conditions.
@@ -152,7 +148,7 @@ impl CheckedQuery<'_> {
         counts: impl Fn(&Snapshot) -> bool,
     ) -> Vec<Arc<Snapshot>> {
         let held = history.filter(|s| counts(s)).max_by_key(|s| (s.referenced_ns, s.version));
-        held.filter(|s| self.may_answer(s) && self.fits(s)).into_iter().collect()
+        held.filter(|s| self.answers(s)).into_iter().collect()
     }
 }
 

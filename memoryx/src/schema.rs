@@ -66,11 +66,9 @@ impl SegmentSchema {
     /// [`MemoryError::Schema`] with the first attribute that does not fit.
     pub fn check(&self, id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
         for attribute in &self.attributes {
+            let missing = || Misfit::here(format!("is missing: {}", attribute.description));
             let wrong = match instance.attributes.get(&attribute.name) {
-                None if attribute.required => {
-                    Some(Misfit::here(format!("is missing: {}", attribute.description)))
-                }
-                None => None,
+                None => attribute.required.then(missing),
                 Some(value) => misfit(&attribute.ty, value),
             };
             if let Some(Misfit { path, what }) = wrong {

@@ -134,10 +134,7 @@ impl ServedMemory {
                 let versions = self.begin_commit(&question);
                 question.payload = Vec::new();
                 answers.spawn(async move {
-                    let versions = match versions {
-                        Ok(versions) => versions.await,
-                        Err(error) => Err(error),
-                    };
+                    let versions = async { versions?.await }.await;
                     drop(waiting);
                     let sealed = versions.and_then(|versions| shared.sealed(&Versions(versions)));
                     shared.send(&question, sealed).await;
@@ -228,11 +225,7 @@ impl ServedMemory {
                 next = if begun.len() < MAX_GROUP { updates.try_next() } else { None };
             }
             for (begun, message) in begun {
-                let result = match begun {
-                    Ok(versions) => versions.await,
-                    Err(error) => Err(error),
-                };
-                if let Err(error) = result {
+                if let Err(error) = async { begun?.await }.await {
                     let sender = self.session.sender(message.sender.as_deref()).await;
                     self.refusals.note(&sender, &message.key, &error);
                 }

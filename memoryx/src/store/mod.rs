@@ -269,9 +269,7 @@ impl LongTermMemory {
             Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
         while goes_on() {
             let found = self.query(&query)?;
-            let Some(last) = found.last().map(|s| Cursor::after(s)) else {
-                break;
-            };
+            let Some(last) = found.last().map(|s| Cursor::after(s)) else { break };
             let is_cut = query.is_filled_by(&found);
             let (count, error) = memory.restore(found);
             restored += count;

@@ -22,10 +22,7 @@ impl LongTermMemory {
     /// Uses the database; opens it again first if it has failed.
     pub(super) fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, Fault>) -> Result<T, StoreError> {
         let open = self.database.read().clone();
-        let open = match open {
-            Some(open) => open,
-            None => self.reopen()?,
-        };
+        let open = open.map_or_else(|| self.reopen(), Ok)?;
         let result = self.contained(|| act(&open));
         self.closed(Some(open));
         if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result

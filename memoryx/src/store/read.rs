@@ -171,8 +171,7 @@ impl Reader {
             Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
             _ => {
                 let (mut from, to) = self.bounds(asked, entity)?;
-                if let Some(limit) = asked.query().limit {
-                    let mut left = limit;
+                if let Some(mut left) = asked.query().limit {
                     self.choose(asked, entity, (from, to), true, |version, _| {
                         left -= 1;
                         from = version;
@@ -452,10 +451,7 @@ impl LongTermMemory {
     }
 
     pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read()?;
-            act(&Reader::new(&transaction)?)
-        })
+        self.with(|database| act(&Reader::new(&database.begin_read()?)?))
     }
 }
 

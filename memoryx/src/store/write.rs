@@ -223,8 +223,7 @@ impl<'t> Writer<'t> {
 
     pub(super) fn close_chunk(&mut self) -> Result<(), Fault> {
         if !self.open.is_empty() {
-            let inserted = self.chunks.insert(self.totals.next_chunk, self.open.as_slice());
-            inserted?;
+            self.chunks.insert(self.totals.next_chunk, self.open.as_slice())?;
             if self.keeps {
                 self.kept.insert(self.totals.next_chunk, self.open.len() as u64)?;
             } else {

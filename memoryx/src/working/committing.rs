@@ -271,7 +271,7 @@ impl Core {
         let share = limit(whole.entities / shares as usize, whole.bytes / u64::from(shares));
         let of_owner = owner.map(|owner| (held.usage(owner), share));
         let bytes = bytes_of(id, instances);
-        for (taken, most) in std::iter::once((held.all(), whole)).chain(of_owner) {
+        for (taken, most) in std::iter::once((held.all, whole)).chain(of_owner) {
             if is_new && taken.entities >= most.entities {
                 return Err(MemoryError::Full { id: id.to_string(), entities: most.entities as u64 });
             }

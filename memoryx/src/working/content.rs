@@ -32,11 +32,12 @@ pub(super) struct Content {
     segments: OrdMap<Arc<str>, Segment>,
     /// What is read-only: core segment and provider segment.
     read_only: OrdSet<(Arc<str>, Arc<str>)>,
-    all: Usage,
+    /// What the whole memory takes.
+    pub(super) all: Usage,
     /// What each owner takes.
     usage: OrdMap<Arc<str>, Usage>,
     /// When the last of its snapshots arrived, ns.
-    last_arrival: u64,
+    pub(super) last_arrival: u64,
     /// The removed entities by arrival time, ns.
     removed: OrdSet<(u64, EntityId)>,
     /// The entities that are to be removed, by when, ns.
@@ -111,19 +112,9 @@ impl Segment {
 }
 
 impl Content {
-    /// What the whole memory takes.
-    pub(super) fn all(&self) -> Usage {
-        self.all
-    }
-
     /// What an owner's provider segments take.
     pub(super) fn usage(&self, owner: &str) -> Usage {
         self.usage.get(owner).copied().unwrap_or_default()
-    }
-
-    /// When the last of its snapshots arrived, ns.
-    pub(super) fn last_arrival(&self) -> u64 {
-        self.last_arrival
     }
 
     /// What each owner takes.

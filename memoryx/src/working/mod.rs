@@ -229,8 +229,7 @@ impl WorkingMemory {
     pub fn remove_expired(&self) -> Result<usize, MemoryError> {
         let (now_ns, mut removed) = (self.now_ns(), 0);
         for (id, version) in self.core.content().expired(now_ns, MAX_EXPIRED) {
-            let removal = Commit { expected_version: Some(version), ..Commit::removal(id, now_ns) };
-            match self.commit_now(vec![removal]) {
+            match self.commit_now(vec![Commit::removal(id, now_ns).expecting(version)]) {
                 Ok(_) => removed += 1,
                 Err(MemoryError::Conflict { .. } | MemoryError::ReadOnly { .. }) => {}
                 Err(error) => return Err(error),
@@ -241,12 +240,12 @@ impl WorkingMemory {
 
     /// How many entities it holds, removed ones included.
     pub fn len(&self) -> usize {
-        self.core.content().all().entities
+        self.core.content().all.entities
     }
 
     /// The size of its snapshots, bytes, about.
     pub fn bytes(&self) -> u64 {
-        self.core.content().all().bytes
+        self.core.content().all.bytes
     }
 
     /// What each owner of provider segments takes: `OWNER/entities`, `OWNER/bytes`, and `OWNER/updates`, which is how many
@@ -261,12 +260,12 @@ impl WorkingMemory {
 
     /// When its last change arrived, ns.
     pub(crate) fn last_arrival_ns(&self) -> u64 {
-        self.core.content().last_arrival()
+        self.core.content().last_arrival
     }
 
     /// How many snapshots were inserted so far.
     pub fn updates(&self) -> u64 {
-        self.core.content().all().updates
+        self.core.content().all.updates
     }
 
     /// Whether it is empty.
