@@ -49,7 +49,7 @@ struct Guesser<'a> {
 pub(super) fn robot_file(name: &str, urdf: &str, packages: &[String], tree: &Tree) -> String {
     let guesser = Guesser::new(tree);
     let mut found = Found::default();
-    for &first in &guesser.firsts() {
+    for first in (0..tree.joints.len()).filter(|&joint| guesser.before(joint).is_none()) {
         guesser.walk(first, Vec::new(), None, &mut found);
     }
     guesser.write((name, urdf, packages), &found)
@@ -114,10 +114,6 @@ impl<'a> Guesser<'a> {
             .filter_map(|mover| self.tree.links[mover.0].motion)
             .map(|motion| motion.joint)
             .find(|&j| j != joint)
-    }
-
-    fn firsts(&self) -> Vec<usize> {
-        (0..self.tree.joints.len()).filter(|&joint| self.before(joint).is_none()).collect()
     }
 
     /// Where a link is with all joints at 0, in the root frame.
