@@ -182,10 +182,8 @@ fn shown(run: &Run<'_>, frame: &FrameTruth) -> Vec<Option<usize>> {
     nearest.into_iter().map(|(_, body)| body).collect()
 }
 
-/// For each row of gains its column, each column at most once, so that the sum of the gains is the largest.
-///
-/// # Source
-/// Kuhn 1955 and Munkres 1957, in the form with potentials and shortest augmenting paths (Jonker, Volgenant 1987).
+/// For each row of gains its column, each column at most once, so that the sum of the gains is the largest (Kuhn 1955 and Munkres
+/// 1957, in the form with potentials and shortest augmenting paths of Jonker and Volgenant 1987).
 fn best_assignment(gains: &[Vec<f64>], columns: usize) -> Vec<Option<usize>> {
     let size = gains.len().max(columns);
     let cost = |i: usize, j: usize| -gains.get(i).and_then(|row| row.get(j)).copied().unwrap_or(0.0);
