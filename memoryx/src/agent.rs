@@ -21,7 +21,7 @@ use crate::query::Pattern;
 use crate::remote::RemoteMemory;
 use crate::server::{MemoryServer, ServerOptions};
 use crate::share::{FollowSettings, Following};
-use crate::store::{Consolidator, LongTermMemory, Policies, Policy, Retention};
+use crate::store::{Consolidator, Dropped, LongTermMemory, Policies, Policy, Retention};
 use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
 
 /// How often snapshots are stored that a policy has held back for long enough.
@@ -252,10 +252,7 @@ impl AgentMemory {
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be written.
     pub fn flush(&self) -> Result<(), MemoryError> {
-        match &self.kept {
-            Some(kept) => Ok(kept.flush().map(|_| ())?),
-            None => Ok(()),
-        }
+        self.kept.as_ref().map_or(Ok(()), |kept| Ok(kept.flush().map(|_| ())?))
     }
 }
 
@@ -321,12 +318,8 @@ async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, ret
                     "long-term memory is larger than it is to be: the newest of each entity and named snapshots stay"
                 );
             }
-            Ok(Ok(dropped)) if dropped.snapshots > 0 => {
-                tracing::info!(
-                    snapshots = dropped.snapshots,
-                    bytes = dropped.bytes,
-                    "long-term memory has forgotten"
-                );
+            Ok(Ok(Dropped { snapshots, bytes, .. })) if snapshots > 0 => {
+                tracing::info!(snapshots, bytes, "long-term memory has forgotten");
             }
             Ok(Err(error)) => tracing::warn!(%error, "long-term memory could not forget"),
             Ok(Ok(_)) | Err(_) => {}

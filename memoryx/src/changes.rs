@@ -57,7 +57,9 @@ pub(crate) trait ChangeSource: Send + Sync {
     /// Every change that arrived in the memory before this time was received, ns; 0 when unknown.
     fn until_ns(&self) -> u64;
     /// Whether the last loss was that of the memory itself, which has begun anew or was away.
-    fn began_anew(&self) -> bool;
+    fn began_anew(&self) -> bool {
+        false
+    }
 }
 
 impl Changes {
@@ -140,9 +142,5 @@ impl ChangeSource for Here {
 
     fn until_ns(&self) -> u64 {
         self.until_ns
-    }
-
-    fn began_anew(&self) -> bool {
-        false
     }
 }

@@ -60,10 +60,9 @@ impl CheckedQuery<'_> {
     }
 
     /// Selects from the snapshots of one entity that [`Self::wants`]. Input and output are in order of version.
-    pub fn select(&self, history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
+    pub fn select(&self, mut history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         let query = self.query;
         let limit = query.limit.unwrap_or(usize::MAX);
-        let mut history = history;
         let newest = |history: &mut dyn Iterator<Item = Arc<Snapshot>>| {
             let mut kept: Vec<_> = history.filter(|s| self.fits(s)).take(limit).collect();
             kept.reverse();
@@ -71,10 +70,7 @@ impl CheckedQuery<'_> {
         };
         match query.times {
             _ if limit == 0 => Vec::new(),
-            Times::Latest => {
-                let newest = history.next_back().filter(|s| self.may_answer(s) && self.fits(s));
-                newest.into_iter().collect()
-            }
+            Times::Latest => history.next_back().filter(|s| self.answers(s)).into_iter().collect(),
             Times::All => newest(&mut history.rev()),
             Times::Between(from, to) => {
                 newest(&mut history.rev().filter(|s| (from..=to).contains(&s.referenced_ns)))
@@ -84,14 +80,8 @@ impl CheckedQuery<'_> {
             }
             Times::Index(from, to) => {
                 let held: Vec<_> = history.collect();
-                newest(
-                    &mut held
-                        .get(index_range(from, to, held.len()))
-                        .unwrap_or_default()
-                        .iter()
-                        .rev()
-                        .cloned(),
-                )
+                let range = index_range(from, to, held.len());
+                newest(&mut held.get(range).unwrap_or_default().iter().rev().cloned())
             }
             Times::At(time) => self.state_at(history, |s| s.referenced_ns <= time),
             Times::Before(time) => self.state_at(history, |s| s.referenced_ns < time),
@@ -135,9 +125,9 @@ impl CheckedQuery<'_> {
         found
     }
 
-    /// Whether a snapshot may be the answer where the query takes one per entity.
-    fn may_answer(&self, snapshot: &Snapshot) -> bool {
-        self.query.removed || !snapshot.is_removed()
+    /// Whether a snapshot is the answer where the query takes one per entity.
+    fn answers(&self, snapshot: &Snapshot) -> bool {
+        (self.query.removed || !snapshot.is_removed()) && self.fits(snapshot)
     }
 
     /// Whether a snapshot that `times` selects passes all other conditions.
@@ -158,7 +148,7 @@ impl CheckedQuery<'_> {
         counts: impl Fn(&Snapshot) -> bool,
     ) -> Vec<Arc<Snapshot>> {
         let held = history.filter(|s| counts(s)).max_by_key(|s| (s.referenced_ns, s.version));
-        held.filter(|s| self.may_answer(s) && self.fits(s)).into_iter().collect()
+        held.filter(|s| self.answers(s)).into_iter().collect()
     }
 }
 
@@ -260,11 +250,8 @@ impl Selection<'_> {
                 || query.most_bytes.is_some_and(|most| self.bytes >= most && !self.found.is_empty()))
     }
 
-    /// The whole answer.
-    ///
-    /// # Errors
-    /// [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be among what was not
-    /// looked at; when an entity is of another clock than the query's times.
+    /// The whole answer. [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be
+    /// among what was not looked at; when an entity is of another clock than the query's times.
     pub(crate) fn finish(self) -> Result<Answer, MemoryError> {
         let query = self.asked.query;
         if let (Some(id), Some(clock)) = (&self.other_clock, self.asked.clock) {
@@ -279,8 +266,7 @@ impl Selection<'_> {
         let (was_full, stopped) = (self.is_full(), self.stopped);
         let snapshots = self.asked.finish(self.found);
         let last = snapshots.last().filter(|_| was_full).map(|s| Cursor::after(s));
-        let next = last.or(stopped);
-        Ok(Answer { snapshots, next })
+        Ok(Answer { snapshots, next: last.or(stopped) })
     }
 }
 

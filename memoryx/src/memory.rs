@@ -164,12 +164,8 @@ where
         let version = now.as_ref().map_or(0, |s| s.version);
         let Some(attributes) = change(now.as_deref()) else { return Ok(version) };
         let confidence = now.as_ref().and_then(|s| s.instance()).map_or(1.0, |i| i.confidence);
-        let update = Commit {
-            id: id.clone(),
-            referenced_ns,
-            instances: vec![Instance::new(attributes).with_confidence(confidence)],
-            expected_version: Some(version),
-        };
+        let instance = Instance::new(attributes).with_confidence(confidence);
+        let update = Commit::of(id.clone(), referenced_ns, vec![instance]).expecting(version);
         tries += 1;
         match memory.commit(vec![update]).await {
             Ok(versions) => return Ok(versions.first().copied().unwrap_or(version + 1)),

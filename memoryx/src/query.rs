@@ -46,10 +46,7 @@ pub enum Times {
 }
 
 impl Times {
-    /// The clock of the times that it names, if it names any.
-    ///
-    /// # Errors
-    /// [`MemoryError::Query`] when they are of two clocks.
+    /// The clock of the times that it names, if it names any; refused when they are of two.
     pub(crate) fn clock(self) -> Result<Option<TimeOf>, MemoryError> {
         match self {
             Self::At(time) | Self::Before(time) => Ok(Some(TimeOf::of(time))),
@@ -57,11 +54,8 @@ impl Times {
             Self::Between(0, u64::MAX) => Ok(None),
             Self::Between(0, time) | Self::Between(time, u64::MAX) => Ok(Some(TimeOf::of(time))),
             Self::Between(from, to) if TimeOf::of(from) != TimeOf::of(to) => {
-                let what = format!(
-                    "{from} ns is {}, {to} ns is {}: name times of one clock",
-                    TimeOf::of(from),
-                    TimeOf::of(to)
-                );
+                let (one, other) = (TimeOf::of(from), TimeOf::of(to));
+                let what = format!("{from} ns is {one}, {to} ns is {other}: name times of one clock");
                 Err(MemoryError::Query { what })
             }
             Self::Between(from, _) => Ok(Some(TimeOf::of(from))),
@@ -132,11 +126,8 @@ impl Pattern {
 
     /// One entity.
     pub fn entity(id: &EntityId) -> Self {
-        Self {
-            segment: Some(id.segment().into()),
-            provider: Some(id.provider().into()),
-            entity: Some(id.entity().into()),
-        }
+        let part = |name: &str| Some(name.into());
+        Self { segment: part(id.segment()), provider: part(id.provider()), entity: part(id.entity()) }
     }
 
     /// The same pattern in one provider segment.

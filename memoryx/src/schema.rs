@@ -66,11 +66,9 @@ impl SegmentSchema {
     /// [`MemoryError::Schema`] with the first attribute that does not fit.
     pub fn check(&self, id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
         for attribute in &self.attributes {
+            let missing = || Misfit::here(format!("is missing: {}", attribute.description));
             let wrong = match instance.attributes.get(&attribute.name) {
-                None if attribute.required => {
-                    Some(Misfit::here(format!("is missing: {}", attribute.description)))
-                }
-                None => None,
+                None => attribute.required.then(missing),
                 Some(value) => misfit(&attribute.ty, value),
             };
             if let Some(Misfit { path, what }) = wrong {
@@ -140,9 +138,6 @@ fn misfit(ty: &Type, value: &Value) -> Option<Misfit> {
 }
 
 /// Checks what holds for every instance in any segment: confidence, depth, covariances.
-///
-/// # Errors
-/// [`MemoryError::Confidence`], [`MemoryError::Schema`].
 pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
     let refused = |attribute: &str, what: &str| {
         Err(MemoryError::Schema { id: id.to_string(), attribute: attribute.into(), what: what.into() })
@@ -165,10 +160,8 @@ pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), Memor
             None => return refused(name, "has a covariance, and is missing"),
         };
         if !is_covariance(covariance, size) {
-            return refused(
-                name,
-                &format!("needs a symmetric covariance of {size}x{size} numbers, not negative"),
-            );
+            let what = format!("needs a symmetric covariance of {size}x{size} numbers, not negative");
+            return refused(name, &what);
         }
     }
     Ok(())

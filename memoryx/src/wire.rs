@@ -201,10 +201,7 @@ pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, Code
     armarium_bus::decode(payload)
 }
 
-/// The encoding and the bytes of a payload.
-///
-/// # Errors
-/// [`CodecError::TooLong`] when the receiver would refuse the size: the sender can still react here.
+/// The encoding and the bytes of a payload. A size that the receiver would refuse is refused here, where the sender can react.
 pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecError> {
     let (bytes, most) = (armarium_bus::encode(content)?, Bounds::default().bytes);
     if bytes.len() > most {
@@ -213,9 +210,12 @@ pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecEr
     Ok((T::SCHEMA.encoding(), bytes))
 }
 
-/// The key of a snapshot's entity in an agent's memory.
-pub(crate) fn entity_key(agent: &str, snapshot: &Snapshot) -> Result<Key, armarium_bus::KeyError> {
-    keys::memory(agent, snapshot.id.segment(), snapshot.id.provider(), snapshot.id.entity())
+/// A snapshot as a message on the key of its entity; `None` where it cannot be one.
+pub(crate) fn of_entity(agent: &str, snapshot: &Snapshot) -> Option<(Key, String, Vec<u8>)> {
+    let (segment, provider) = (snapshot.id.segment(), snapshot.id.provider());
+    let key = keys::memory(agent, segment, provider, snapshot.id.entity()).ok()?;
+    let (encoding, payload) = seal(snapshot).ok()?;
+    Some((key, encoding, payload))
 }
 
 /// The keys of all entities of an agent's memory.

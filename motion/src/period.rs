@@ -9,13 +9,13 @@ use crate::error::{MotionError, positive, vector, within};
 #[derive(Debug, Clone)]
 pub(crate) struct History {
     dims: usize,
-    grid: f64,
+    pub(crate) grid: f64,
     capacity: usize,
     ring: Vec<f64>,
     head: usize,
-    len: usize,
+    pub(crate) len: usize,
     /// Time from the newest grid point to the newest sample, s.
-    overhang: f64,
+    pub(crate) overhang: f64,
     last: Vec<f64>,
     started: bool,
 }
@@ -40,19 +40,6 @@ impl History {
     pub(crate) fn clear(&mut self) {
         self.len = 0;
         self.started = false;
-    }
-
-    pub(crate) fn len(&self) -> usize {
-        self.len
-    }
-
-    pub(crate) fn grid(&self) -> f64 {
-        self.grid
-    }
-
-    /// Time from the newest grid point to the newest sample, s.
-    pub(crate) fn overhang(&self) -> f64 {
-        self.overhang
     }
 
     /// Adds the sample `v`, `dt` s after the previous one, interpolated linearly onto the grid.

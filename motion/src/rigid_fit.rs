@@ -60,11 +60,9 @@ pub fn rigid_fit(source: &[Point3<f64>], target: &[Point3<f64>]) -> Result<Rigid
     // A rotation about the longest axis moves the points only in proportion to their spread across it.
     let freedom = (3.0 * n - 6.0).max(1.0);
     let across = (spread[1].powi(2) + spread[2].powi(2)).sqrt();
+    let turn = UnitQuaternion::from_rotation_matrix(&rotation);
     Ok(RigidFit {
-        target_from_source: Isometry3::from_parts(
-            Translation3::from(translation),
-            UnitQuaternion::from_rotation_matrix(&rotation),
-        ),
+        target_from_source: Isometry3::from_parts(Translation3::from(translation), turn),
         rms: (squares / n).sqrt(),
         worst,
         spread,

@@ -127,12 +127,8 @@ impl DemonstrationSegmenter {
         finite("point", point.coords.as_slice())?;
         let last = self.recent.back().map_or(f64::NEG_INFINITY, |(t, _)| *t);
         if time <= last {
-            return Err(MotionError::OutOfRange {
-                what: "time",
-                value: time,
-                low: last,
-                high: f64::INFINITY,
-            });
+            let high = f64::INFINITY;
+            return Err(MotionError::OutOfRange { what: "time", value: time, low: last, high });
         }
         within("time", time, -1e12, 1e12)?;
         if time - last > self.config.longest_gap && self.known.swipe.is_none() {

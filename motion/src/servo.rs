@@ -151,11 +151,10 @@ impl PositionServo {
             return Ok(self.last);
         }
         self.elapsed += dt;
-        let command = match observation {
+        self.last = match observation {
             Some((o, age)) => self.seen(o, age.max(0.0)),
             None => self.blind(dt),
         };
-        self.last = command;
         if self.elapsed >= self.config.timeout && self.last.status == ServoStatus::Running {
             self.last = still(self.last.distance, self.last.angle, ServoStatus::TimedOut);
         }

@@ -116,8 +116,7 @@ pub struct LeaseLimits {
 }
 
 impl LeaseLimits {
-    /// # Errors
-    /// [`LeaseError::Limit`] when one is negative or no number.
+    /// Refuses a limit that is negative or no number.
     pub(crate) fn check(&self) -> Result<(), LeaseError> {
         let limits = [("force", self.force_n), ("speed", self.speed_m_s)];
         let wrong = limits

@@ -161,10 +161,7 @@ impl Model {
                         Translation3::identity(),
                         UnitQuaternion::from_axis_angle(&motion.axis, position),
                     ),
-                    JointKind::Prismatic => Isometry3::from_parts(
-                        Translation3::from(motion.axis.into_inner() * position),
-                        UnitQuaternion::identity(),
-                    ),
+                    JointKind::Prismatic => Translation3::from(motion.axis.into_inner() * position).into(),
                 }
             });
             root_from_link = link.parent_from_link * motion * root_from_link;

@@ -29,11 +29,8 @@ struct Accident {
 impl Accidents {
     /// Those of a world whose bodies have these names.
     pub(crate) fn new(disturbances: &[Disturbance], names: &[String]) -> Self {
-        let accident = |what: &Disturbance| Accident {
-            body: names.iter().position(|name| *name == what.knock),
-            what: what.clone(),
-            taken: None,
-        };
+        let body = |what: &Disturbance| names.iter().position(|name| *name == what.knock);
+        let accident = |what: &Disturbance| Accident { body: body(what), what: what.clone(), taken: None };
         Self { all: disturbances.iter().map(accident).collect() }
     }
 
@@ -55,10 +52,9 @@ impl Accidents {
             match accident.body {
                 None => external.hand += accident.what.force_at(age),
                 Some(body) => {
-                    let (at, mass) = plant
-                        .object(body)
-                        .zip(plant.mass(body))
-                        .map_or_else(Default::default, |(pose, mass)| (pose.translation.vector, mass));
+                    let found = plant.object(body).zip(plant.mass(body));
+                    let (at, mass) =
+                        found.map_or_else(Default::default, |(pose, mass)| (pose.translation.vector, mass));
                     external.objects[body] += accident.on_body(age, at, mass);
                 }
             }

@@ -45,10 +45,8 @@ pub fn of_path(path: &[Vector3<f64>], compared: &Compared) -> Option<Modificatio
     let after = period(path, compared.after_s, compared.period_s)?;
     let distance = |k: &usize| (before[*k] - compared.place).norm();
     let nearest = (0..before.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-    let far: Vec<f64> = (0..before.len())
-        .filter(|k| distance(k) > compared.far_m)
-        .map(|k| (after[k] - before[k]).norm_squared())
-        .collect();
+    let far = (0..before.len()).filter(|k| distance(k) > compared.far_m);
+    let far: Vec<f64> = far.map(|k| (after[k] - before[k]).norm_squared()).collect();
     Some(ModificationFigures {
         displacement_m: (after[nearest] - before[nearest]).dot(&compared.way),
         far_side_rms_m: (far.iter().sum::<f64>() / far.len() as f64).sqrt(),

@@ -289,14 +289,10 @@ impl LeasedArm {
                 }
             }
             if off > OFF_THE_WAY {
-                let to = point.pose.translation.vector;
+                let (name, to, mm) = (&self.limb.name, point.pose.translation, off * 1e3);
                 return Err(Failure::new(format!(
-                    "the arm `{}` does not reach ({:.3}, {:.3}, {:.3}) m: {:.0} mm are missing",
-                    self.limb.name,
-                    to.x,
-                    to.y,
-                    to.z,
-                    off * 1e3
+                    "the arm `{name}` does not reach ({:.3}, {:.3}, {:.3}) m: {mm:.0} mm are missing",
+                    to.x, to.y, to.z
                 )));
             }
             all.push(self.leases.joints.iter().map(|&joint| q[joint]).collect());

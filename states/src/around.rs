@@ -79,18 +79,13 @@ impl Around {
         Ok(Self { boxes, kept, loads, tcp, joints, arm, equipment: equipment.clone(), model })
     }
 
-    /// A path from `now` to `goal`: only these two where the straight way is free.
-    ///
-    /// # Errors
-    /// When the goal is not free, or no way to it is found.
+    /// A path from `now` to `goal`, if that is free: only these two where the straight way is free; fails where no way is found.
     pub(crate) async fn way_to_joints(self, now: Vec<f64>, goal: Vec<f64>) -> Result<Path, Failure> {
         planned(move || self.plan(&mut self.planner(), &now, &goal)).await
     }
 
-    /// A path to a pose of the TCP (root frame), if its straight line at `speed` m/s is blocked; `None` if that is free.
-    ///
-    /// # Errors
-    /// When the line is blocked and the pose is out of reach, is not free, or no way to it is found.
+    /// A path to a pose of the TCP (root frame), if its straight line at `speed` m/s is blocked; `None` if that is free. Fails where the
+    /// line is blocked and the pose is out of reach or not free, or no way to it is found.
     pub(crate) async fn way_to_pose(
         self,
         now: Vec<f64>,
@@ -177,10 +172,8 @@ async fn planned<T: Send + 'static>(
     planned.map_err(|error| Failure::new(format!("planning ended early: {error}")))?
 }
 
-/// Moves what is leased along a path of all joints, from corner to corner, all joints together.
-///
-/// # Errors
-/// When the last corner is not reached within `timeout` s, or the arm is taken away.
+/// Moves what is leased along a path of all joints, from corner to corner, all joints together; fails where the last corner is not
+/// reached within `timeout` s.
 pub(crate) async fn follow(
     senses: &mut Senses,
     model: &Model,

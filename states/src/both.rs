@@ -107,18 +107,9 @@ pub(crate) struct BothArms {
 }
 
 impl BothArms {
-    /// Leases both arms, without what helps them, for motions by these vectors (root frame, m), to press with their hands. Their null
+    /// Leases both arms, without what helps them, for motions by these vectors (root frame, m), to hold something in this way. Their null
     /// spaces keep the posture in which they are.
     pub(crate) async fn take(
-        equipment: &Equipment,
-        context: &SkillContext,
-        motions: &[Vector3<f64>],
-    ) -> Result<Self, Failure> {
-        Self::take_to(equipment, context, motions, Holding::Pressing).await
-    }
-
-    /// The same, to hold something in this way.
-    pub(crate) async fn take_to(
         equipment: &Equipment,
         context: &SkillContext,
         motions: &[Vector3<f64>],
@@ -131,13 +122,9 @@ impl BothArms {
             if holding == Holding::Gripping {
                 return Ok(hand.grasp_in_tcp);
             }
-            let none = || {
-                Failure::new(format!(
-                    "the robot file does not say with what `{}` presses: `press_in_tcp`",
-                    hand.name
-                ))
-            };
-            hand.press_in_tcp.ok_or_else(none)
+            let name = &hand.name;
+            let none = || format!("the robot file does not say with what `{name}` presses: `press_in_tcp`");
+            hand.press_in_tcp.ok_or_else(|| Failure::new(none()))
         };
         let faces = [face(first)?, face(second)?];
         let sample = equipment.robot.sensed().borrow();
@@ -220,10 +207,7 @@ impl BothArms {
         Ok([one(0)?, one(1)?])
     }
 
-    /// That what they carry has come to where it should be.
-    ///
-    /// # Errors
-    /// When a hand is still further than 20 mm from there: an arm is at its limits, or the guard stops it.
+    /// That what they carry has come to where it should be: a hand that is 20 mm away has an arm at its limits, or the guard stops it.
     pub(crate) fn arrived(&self) -> Result<(), Failure> {
         if self.off < OFF {
             return Ok(());
@@ -234,10 +218,8 @@ impl BothArms {
         )))
     }
 
-    /// Moves both TCPs to their targets; returns the larger distance from them, m.
-    ///
-    /// # Errors
-    /// The fault for which an arm was taken away; the other one stands then, too, as the skill ends.
+    /// Moves both TCPs to their targets; returns the larger distance from them, m. Where an arm was taken away, its fault; the other one
+    /// stands then, too, as the skill ends.
     pub(crate) fn track(&mut self, sample: &Sensed, targets: &[LinePoint; 2]) -> Result<f64, Failure> {
         let mut farthest = 0.0_f64;
         for (arm, target) in self.arms.iter_mut().zip(targets) {
@@ -260,7 +242,6 @@ impl BothArms {
         self.arms[hand].twist_and_columns(sample, &face)
     }
 
-    /// One of the arms.
     pub(crate) fn arm(&mut self, hand: usize) -> &mut LeasedArm {
         &mut self.arms[hand]
     }

@@ -29,13 +29,8 @@ impl Coaching {
     pub(crate) fn begin(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let motion = equipment.motions.edit(&context.entity("motion")?)?;
         let coach = CoachedMotion::new(CoachConfig::default(), &motion.view()?).map_err(failed)?;
-        Ok(Self {
-            senses: Senses::new(&*equipment.robot, context),
-            motion,
-            coach,
-            idle: 0.0,
-            displacement: 0.0,
-        })
+        let senses = Senses::new(&*equipment.robot, context);
+        Ok(Self { senses, motion, coach, idle: 0.0, displacement: 0.0 })
     }
 
     /// Waits for the robot's next sample; returns the time since the previous one, s.

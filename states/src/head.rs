@@ -58,15 +58,11 @@ impl Head {
 
     /// The middle between the cameras and where they look, with all joints as in `q`: a place in the root frame, m, and a unit vector.
     pub(crate) fn eye(&self, q: &[f64]) -> (Point3<f64>, Unit<Vector3<f64>>) {
-        let eyes = self
-            .model
-            .camera()
-            .map(|camera| [camera.left, camera.right].map(|eye| self.model.link_pose(q, eye)));
+        let pose = |eye| self.model.link_pose(q, eye);
+        let eyes = self.model.camera().map(|camera| [pose(camera.left), pose(camera.right)]);
         let [left, right] = eyes.unwrap_or([Isometry3::identity(); 2]);
-        (
-            center(&left.translation.vector.into(), &right.translation.vector.into()),
-            left.rotation * Vector3::z_axis(),
-        )
+        let middle = center(&left.translation.vector.into(), &right.translation.vector.into());
+        (middle, left.rotation * Vector3::z_axis())
     }
 
     /// Where the cameras come to look that shall look at `point` (root frame, m): there, or as near as the neck can.

@@ -64,13 +64,8 @@ pub(crate) async fn take(
     let stamp_ns = equipment.robot.sensed().borrow().stamp_ns;
     let name = hand_of_agent(equipment, hand);
     let id = EntityId::new(THINGS, &equipment.agent, thing.id.entity()).map_err(failed)?;
-    let mut commits = vec![moving(
-        &id,
-        thing,
-        stamp_ns,
-        root_from_thing,
-        &MotionModel::Hand { name: name.clone(), offset: *tcp_from_thing },
-    )];
+    let model = MotionModel::Hand { name: name.clone(), offset: *tcp_from_thing };
+    let mut commits = vec![moving(&id, thing, stamp_ns, root_from_thing, &model)];
     let all = known(equipment.remembered()).await?;
     if let Some(below) = all.iter().find(|known| known.thing.as_ref() == Some(&thing.id)) {
         for on_it in all.iter().filter(|known| stands_on(known, below)) {
@@ -128,14 +123,11 @@ fn stands_on(thing: &Known, below: &Known) -> bool {
 /// Says in memory that a hand has let go: what it held, and what stands on that, stays where it is now.
 pub(crate) async fn let_go(equipment: &Equipment, hand: &str) -> Result<(), Failure> {
     let name = hand_of_agent(equipment, hand);
-    let mut attached: Vec<_> = own_things(equipment)
-        .await?
-        .into_iter()
-        .filter_map(|thing| {
-            let model = MotionModel::of(thing.instance()?);
-            Some((thing, model))
-        })
-        .collect();
+    let with_model = |thing: Arc<Snapshot>| {
+        let model = MotionModel::of(thing.instance()?);
+        Some((thing, model))
+    };
+    let mut attached: Vec<_> = own_things(equipment).await?.into_iter().filter_map(with_model).collect();
     let held = |model: &MotionModel| matches!(model, MotionModel::Hand { name: by, .. } if *by == name);
     let mut free: Vec<Arc<Snapshot>> =
         attached.extract_if(.., |(_, model)| held(model)).map(|(thing, _)| thing).collect();

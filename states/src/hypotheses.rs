@@ -49,14 +49,8 @@ fn read(equipment: &Equipment, known: &Snapshot) -> Option<RememberedHypothesis>
     hypothesis.pushes = known.attribute("pushes")?.as_f64()? as u32;
     let (pose, size) = (equipment.remembered().root_pose(known)?, known.attribute("size")?.as_vector3()?);
     let class = known.attribute("class").and_then(Value::as_str).map(str::to_owned);
-    Some(RememberedHypothesis {
-        id: known.id.clone(),
-        hypothesis,
-        pose,
-        size,
-        class,
-        seen_ns: known.referenced_ns,
-    })
+    let (id, seen_ns) = (known.id.clone(), known.referenced_ns);
+    Some(RememberedHypothesis { id, hypothesis, pose, size, class, seen_ns })
 }
 
 /// The largest number at the end of a name, as in `thing_3`; 0 where there is none.

@@ -102,13 +102,10 @@ pub(crate) fn as_point(value: &Value) -> Option<Point3<f64>> {
 
 /// The memory address in a reference.
 pub(crate) fn entity_of(reference: &Reference) -> Result<EntityId, Failure> {
-    let parts: Vec<&str> = reference.id.split('/').collect();
-    match parts.as_slice() {
+    let id = &reference.id;
+    match id.split('/').collect::<Vec<_>>().as_slice() {
         [segment, provider, entity] => EntityId::new(segment, provider, entity).map_err(failed),
-        _ => Err(Failure::new(format!(
-            "`{}` is not a memory address: it needs segment/provider/entity",
-            reference.id
-        ))),
+        _ => Err(Failure::new(format!("`{id}` is not a memory address: it needs segment/provider/entity"))),
     }
 }
 

@@ -12,10 +12,7 @@ use crate::wiper::Wiper;
 const POINTS: usize = 48;
 
 /// The largest share of a joint's speed limit that a motion needs of its arm at its frequency, with the TCP `over` m over where
-/// it is when the tool stands.
-///
-/// # Errors
-/// When a point is out of reach, or a joint would exceed its speed limit.
+/// it is when the tool stands. Fails where a point is out of reach, or a joint would exceed its speed limit.
 pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) -> Result<f64, Failure> {
     let model = equipment.robot.model();
     let (arm, motion) = (&wiper.arm, wiper.motion());
@@ -30,12 +27,10 @@ pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) ->
     let mut random = equipment.random();
     let mut solve = |s: usize, seed: &[f64]| {
         solve_pose(model, link, joints, &pose(s), seed, &PoseOptions::default(), &mut random).map_err(|e| {
-            let point = pose(s).translation.vector;
+            let (point, mm) = (pose(s).translation.vector, e.position_error_m * 1e3);
             Failure::new(format!(
-                "the motion leaves the arm's reach at x {:.2}, y {:.2} m: {:.0} mm are missing",
-                point.x,
-                point.y,
-                e.position_error_m * 1e3
+                "the motion leaves the arm's reach at x {:.2}, y {:.2} m: {mm:.0} mm are missing",
+                point.x, point.y
             ))
         })
     };

@@ -41,12 +41,8 @@ impl PinholeCamera {
 
     /// Projects a point (camera frame, m) to px; `None` for a point behind the camera or in its plane.
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
-        (point.z > 1e-6).then(|| {
-            Point2::new(
-                self.center[0] + self.focal * point.x / point.z,
-                self.center[1] + self.focal * point.y / point.z,
-            )
-        })
+        let px = |axis: usize| self.center[axis] + self.focal * point[axis] / point.z;
+        (point.z > 1e-6).then(|| Point2::new(px(0), px(1)))
     }
 
     /// Projects the point (this camera's frame, m) into an identical camera that stands `shift` m along this
@@ -93,13 +89,10 @@ impl StereoCalibration {
     pub fn triangulate(&self, left: &Point2<f64>, right: &Point2<f64>) -> Option<Point3<f64>> {
         let disparity = left.x - right.x;
         (disparity > 0.1).then(|| {
-            let z = self.camera.focal * self.baseline / disparity;
+            let PinholeCamera { focal, center: [cx, cy], .. } = self.camera;
+            let z = focal * self.baseline / disparity;
             let y = (left.y + right.y) / 2.0;
-            Point3::new(
-                (left.x - self.camera.center[0]) * z / self.camera.focal,
-                (y - self.camera.center[1]) * z / self.camera.focal,
-                z,
-            )
+            Point3::new((left.x - cx) * z / focal, (y - cy) * z / focal, z)
         })
     }
 }

@@ -1,7 +1,6 @@
 //! Distance transforms, from `imageproc`, for masks.
 
 use image::{GrayImage, Luma};
-use imageproc::definitions::Image;
 use imageproc::distance_transform::{Norm, distance_transform, euclidean_squared_distance_transform};
 
 use crate::mask::{Mask, Region};
@@ -15,7 +14,7 @@ pub(crate) fn inside(mask: &Mask) -> Vec<f32> {
         let within = x > 0 && y > 0 && x <= w && y <= h;
         within && mask.row(y as usize - 1)[x as usize - 1] != 0
     };
-    let squared = squared_to_nearest(w + 2, h + 2, |x, y| !is_set(x, y));
+    let squared = euclidean_squared_distance_transform(&white(w + 2, h + 2, |x, y| !is_set(x, y)));
     let at = |(x, y)| squared.get_pixel(x + 1, y + 1).0[0].sqrt() as f32;
     Region::whole(w, h).pixels().map(at).collect()
 }
@@ -26,7 +25,8 @@ pub(crate) fn to_set(mask: &Mask) -> Vec<f32> {
     if mask.count() == 0 {
         return vec![f32::INFINITY; mask.data().len()];
     }
-    let squared = squared_to_nearest(w, h, |x, y| mask.row(y as usize)[x as usize] != 0);
+    let set = white(w, h, |x, y| mask.row(y as usize)[x as usize] != 0);
+    let squared = euclidean_squared_distance_transform(&set);
     squared.pixels().map(|d| d.0[0].sqrt() as f32).collect()
 }
 
@@ -36,11 +36,6 @@ pub(crate) fn steps_inside(mask: &Mask) -> Vec<u8> {
     let (w, h) = (mask.width() as u32, mask.height() as u32);
     let unset = white(w, h, |x, y| mask.row(y as usize)[x as usize] == 0);
     distance_transform(&unset, Norm::L1).into_raw()
-}
-
-/// The squared distance of every pixel to the nearest source.
-fn squared_to_nearest(w: u32, h: u32, is_source: impl Fn(u32, u32) -> bool) -> Image<Luma<f64>> {
-    euclidean_squared_distance_transform(&white(w, h, is_source))
 }
 
 /// An image with the sources in white, from which the transforms measure.

@@ -61,11 +61,7 @@ struct Eye {
 
 /// A pose and the quality of its fit.
 struct Fit {
-    root_from_object: Isometry3<f64>,
-    outlines: [ConvexOutline; 2],
-    /// Of x, y, z in the root frame, m².
-    covariance: Matrix3<f64>,
-    visible: f64,
+    found: ObjectEstimate,
     /// Fraction of the silhouette that shows the surroundings.
     contradicted: f64,
     /// Fraction of the coloured pixels outside of the silhouette.
@@ -144,7 +140,7 @@ impl ObjectLocalizer {
                 best = fit.filter(better).or(best);
             }
         }
-        best.map(Fit::estimate)
+        best.map(|fit| fit.found)
     }
 
     /// The box in a frame in which it is expected at `expected` (root frame of the frame's `root_from_left`), with its roll and pitch as
@@ -163,7 +159,7 @@ impl ObjectLocalizer {
             Self::eye(left.first()?, &left, &frame.left, radius_px),
             Self::eye(right.first()?, &right, &frame.right, radius_px),
         ];
-        self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root).filter(Fit::convinces).map(Fit::estimate)
+        self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root).filter(Fit::convinces).map(|fit| fit.found)
     }
 
     /// The box about where it is expected (root frame), with roll and pitch up to about `tilt` rad from those.
@@ -182,7 +178,7 @@ impl ObjectLocalizer {
         let (by, information) = on_the_border(outlines, (Vector6::zeros(), steps, prior), eyes, &FOLLOWED_PX);
         let covariance = information.try_inverse().map_or(Matrix6::identity(), |i| i * BORDER_VARIANCE);
         let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        self.judge((pose(&by), covariance), outlines(&by)?, eyes)
+        self.judge((pose(&by), covariance), &outlines(&by)?, eyes)
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -234,7 +230,7 @@ impl ObjectLocalizer {
 
     fn fit(&self, eyes: &[Eye; 2], start: &Point3<f64>, surface_from_left: &Isometry3<f64>) -> Option<Fit> {
         let left_from_surface = surface_from_left.inverse();
-        let outlines = |pose: &Pose4| self.outlines(pose, &left_from_surface);
+        let outlines = |pose: &Pose4| self.outlines_at(&(left_from_surface * isometry(pose)));
         let camera = &self.calibration.camera;
         let cost = |pose: &Pose4| outlines(pose).map_or(f64::INFINITY, |o| silhouette_cost(&o, eyes, camera));
         let mut coarse: Vec<(f64, f64)> = (0..YAWS)
@@ -255,11 +251,16 @@ impl ObjectLocalizer {
                 best = Some(found);
             }
         }
-        let (pose, covariance) = self.refine(best?.0, eyes, &left_from_surface);
+        let steps = Pose4::new(2e-4, 2e-4, 2e-4, 2e-3);
+        // A weak prior on the start (3 cm, 20 degrees) holds what the images do not determine.
+        let prior = Pose4::new(1e3, 1e3, 1e3, 8.0);
+        let from = (best?.0, steps, prior);
+        let (pose, information) = on_the_border(outlines, from, eyes, &[BORDER_REACH_PX; 8]);
+        let covariance = information.try_inverse().map_or(Matrix4::identity(), |i| i * BORDER_VARIANCE);
         let turn = self.surface.to_rotation_matrix();
         let covariance = turn * covariance.fixed_view::<3, 3>(0, 0) * turn.transpose();
         let upright = self.surface * isometry(&Pose4::new(pose.x, pose.y, pose.z, half_turn(pose.w)));
-        let fit = self.judge((upright, covariance), outlines(&pose)?, eyes).filter(Fit::convinces);
+        let fit = self.judge((upright, covariance), &outlines(&pose)?, eyes).filter(Fit::convinces);
         // The surface may be tilted otherwise than is believed, as where the cameras are.
         fit.or_else(|| {
             self.tilted(eyes, &upright, SURFACE_SIGMA, &(left_from_surface * self.surface.inverse()))
@@ -267,36 +268,17 @@ impl ObjectLocalizer {
     }
 
     /// The silhouettes in both images.
-    fn outlines(&self, pose: &Pose4, left_from_surface: &Isometry3<f64>) -> Option<[ConvexOutline; 2]> {
-        self.outlines_at(&(left_from_surface * isometry(pose)))
-    }
-
     fn outlines_at(&self, left_from_box: &Isometry3<f64>) -> Option<[ConvexOutline; 2]> {
         let (camera, size) = (&self.calibration.camera, &self.size);
         let left = box_outline(camera, 0.0, left_from_box, size)?;
         Some([left, box_outline(camera, self.calibration.baseline, left_from_box, size)?])
     }
 
-    /// The pose with the silhouettes' outlines on the coloured region's border, and its covariance.
-    fn refine(
-        &self,
-        start: Pose4,
-        eyes: &[Eye; 2],
-        left_from_surface: &Isometry3<f64>,
-    ) -> (Pose4, Matrix4<f64>) {
-        let outlines = |pose: &Pose4| self.outlines(pose, left_from_surface);
-        let steps = Pose4::new(2e-4, 2e-4, 2e-4, 2e-3);
-        // A weak prior on the start (3 cm, 20 degrees) holds what the images do not determine.
-        let prior = Pose4::new(1e3, 1e3, 1e3, 8.0);
-        let (pose, information) = on_the_border(outlines, (start, steps, prior), eyes, &[BORDER_REACH_PX; 8]);
-        (pose, information.try_inverse().map_or(Matrix4::identity(), |i| i * BORDER_VARIANCE))
-    }
-
     /// How well the outlines of a pose (root frame) with this covariance of its place fit what the eyes show.
     fn judge(
         &self,
         (root_from_object, covariance): (Isometry3<f64>, Matrix3<f64>),
-        outlines: [ConvexOutline; 2],
+        outlines: &[ConvexOutline; 2],
         eyes: &[Eye; 2],
     ) -> Option<Fit> {
         let (mut visible, mut contradicted, mut spilled, mut in_pictures) = (0.0, 0.0, 0.0, 0.0);
@@ -322,10 +304,12 @@ impl ObjectLocalizer {
         let hidden = (in_pictures - visible).max(0.0) / visible.max(0.05);
         let inflate = 1.0 + 6.0 * (hidden - 0.1).max(0.0);
         (on > 0.0 && visible > 0.0).then(|| Fit {
-            root_from_object,
-            outlines,
-            covariance: covariance * (inflate * inflate),
-            visible: visible.min(1.0),
+            found: ObjectEstimate {
+                root_from_object,
+                covariance: covariance * (inflate * inflate),
+                visible: visible.min(1.0),
+                outline_left: outlines[0].corners().to_vec(),
+            },
             contradicted,
             spilled,
             supported: on / f64::max(all, 1.0),
@@ -378,7 +362,7 @@ fn on_the_border<const N: usize>(
 impl Fit {
     /// Whether the fit is good enough to accept the object.
     fn convinces(&self) -> bool {
-        self.visible > 0.25
+        self.found.visible > 0.25
             && self.contradicted < 0.12
             && self.spilled < 0.12
             && self.supported > 0.3
@@ -386,16 +370,7 @@ impl Fit {
     }
 
     fn quality(&self) -> f64 {
-        self.visible + self.supported - self.contradicted - self.spilled
-    }
-
-    fn estimate(self) -> ObjectEstimate {
-        ObjectEstimate {
-            root_from_object: self.root_from_object,
-            covariance: self.covariance,
-            visible: self.visible,
-            outline_left: self.outlines[0].corners().to_vec(),
-        }
+        self.found.visible + self.supported - self.contradicted - self.spilled
     }
 }
 

@@ -2,11 +2,8 @@
 
 use nalgebra::SVector;
 
-/// Nelder and Mead's simplex method from `start` with first steps `steps`, at most `evaluations` calls. Returns the
-/// best point and its cost.
-///
-/// # Source
-/// Nelder, Mead 1965, with the usual coefficients 1, 2, 1/2, 1/2. A cost that is NaN counts as infinite.
+/// Nelder and Mead's simplex method (1965, with the usual coefficients 1, 2, 1/2, 1/2) from `start` with first steps
+/// `steps`, at most `evaluations` calls. Returns the best point and its cost. A cost that is NaN counts as infinite.
 pub(crate) fn simplex<const N: usize>(
     mut cost: impl FnMut(&SVector<f64, N>) -> f64,
     start: &SVector<f64, N>,

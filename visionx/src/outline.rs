@@ -87,10 +87,7 @@ impl ConvexOutline {
         area(&self.corners)
     }
 
-    /// Area of what is in a camera's picture, px^2.
-    ///
-    /// # Source
-    /// Sutherland and Hodgman 1974, with the picture's four borders.
+    /// Area of what is in a camera's picture, px^2: clipped at its four borders (Sutherland and Hodgman 1974).
     pub(crate) fn area_in(&self, camera: &PinholeCamera) -> f64 {
         let mut corners = self.corners.clone();
         for (axis, size) in [camera.width, camera.height].into_iter().enumerate() {

@@ -102,10 +102,8 @@ impl Cloud {
     }
 }
 
-/// Systematic resampling by weight, of as many as there are; without effect when the weights have no finite, positive sum.
-///
-/// # Source
-/// Kitagawa 1996, appendix.
+/// Systematic resampling by weight (Kitagawa 1996, appendix), of as many as there are; without effect when the weights
+/// have no finite, positive sum.
 pub(crate) fn resample<T: Clone>(particles: &mut Vec<T>, weights: &[f64], rng: &mut impl Rng) {
     let total: f64 = weights.iter().sum();
     if !(total.is_finite() && total > 0.0) {

@@ -36,11 +36,8 @@ pub(crate) type Wanted<'a> = &'a dyn Fn(&Point3<f64>, &Vector3<f64>) -> Option<V
 
 impl Plane {
     /// Finds the wanted plane that contains the most of the points for which `free` is true; `None` where none contains at least
-    /// `share` of them.
-    ///
-    /// # Source
-    /// Fischler, Bolles 1981 (RANSAC), with a fixed seed, and triples of points that are near to each other in the image; then total
-    /// least squares on the inliers, weighted by how certain their depths are.
+    /// `share` of them. RANSAC (Fischler, Bolles 1981) with a fixed seed and triples of points that are near to each other in the
+    /// image, then total least squares on the inliers, weighted by how certain their depths are.
     pub(crate) fn largest(
         seen: &DepthPoints,
         free: &dyn Fn(usize) -> bool,

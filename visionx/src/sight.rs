@@ -66,12 +66,8 @@ impl Sight {
                     .work(step, move |step| {
                         let observations = observations_of(step, &frame, &Frame::root());
                         let (stamp_ns, root_from_left) = (frame.stamp_ns, frame.root_from_left);
-                        Sighting {
-                            stamp_ns,
-                            root_from_left,
-                            observations,
-                            search: search_of(step, &frame, &calibration),
-                        }
+                        let search = search_of(step, &frame, &calibration);
+                        Sighting { stamp_ns, root_from_left, observations, search }
                     })
                     .await;
                 if sender.send(Some(Ok(Arc::new(sighting)))).is_err() {

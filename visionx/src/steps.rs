@@ -39,8 +39,7 @@ pub trait StereoStep: Send {
     /// Its name.
     fn name(&self) -> &str;
     /// What a frame lacks for this step, as a message for people; `None` when it is complete.
-    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
-        let _ = frame;
+    fn missing_input(&self, _frame: &RawFrame) -> Option<String> {
         None
     }
     /// What it finds wherever it is in view: core segments and classes. That it did not find such a thing where it is known to be

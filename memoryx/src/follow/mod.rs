@@ -52,14 +52,6 @@ pub struct LastSeen {
 }
 
 impl LastSeen {
-    fn of(snapshot: &Snapshot) -> Self {
-        Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
-    }
-
-    fn of_head(head: &Head) -> Self {
-        Self { version: head.version, arrived_ns: head.arrived_ns }
-    }
-
     /// Whether the version is that of another snapshot, because the memory has counted anew.
     fn is_other(self, version: u64, arrived_ns: u64) -> bool {
         self.version == version && self.arrived_ns != 0 && self.arrived_ns != arrived_ns
@@ -102,8 +94,8 @@ impl Follower {
         let mut follower = Self::from_start(memory, pattern).await?;
         let heads = follower.memory.heads(follower.changes.pattern()).await?;
         follower.since_ns = heads.until_ns;
-        let reported = heads.entities.iter().map(|head| (head.id.clone(), LastSeen::of_head(head)));
-        follower.reported = reported.collect();
+        let last = |head: &Head| LastSeen { version: head.version, arrived_ns: head.arrived_ns };
+        follower.reported = heads.entities.iter().map(|head| (head.id.clone(), last(head))).collect();
         Ok((follower, heads.entities))
     }
 
@@ -287,7 +279,11 @@ impl Follower {
         let mut pieces = pages(query.with_long_term(), PAGE_SIZE);
         let (mut until, mut found) = (None, Vec::new());
         while let Some(piece) = pieces.next(&*self.memory).await? {
-            until.get_or_insert_with(|| seen_until(&piece));
+            // A change that arrives while later pieces are read may belong into an earlier one: only the first message counts.
+            until.get_or_insert_with(|| {
+                let first = &piece[..wire::in_one_answer(&piece)];
+                first.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0)
+            });
             found.extend(piece);
         }
         Ok((found, until.unwrap_or(0)))
@@ -315,16 +311,9 @@ impl Follower {
             let (from, to) = (reported.version + 1, snapshot.version - 1);
             self.ready.push_back(Change::Missed { id: snapshot.id.clone(), from, to });
         }
-        *reported = LastSeen::of(&snapshot);
+        *reported = LastSeen { version: snapshot.version, arrived_ns: snapshot.arrived_ns };
         self.ready.push_back(Change::New(snapshot));
     }
-}
-
-/// The arrival time, ns, until which an answer is certainly complete. A change that arrives while later pieces are
-/// read may belong into an earlier one: so only the first message counts.
-fn seen_until(first: &[Arc<Snapshot>]) -> u64 {
-    let together = &first[..wire::in_one_answer(first)];
-    together.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0)
 }
 
 #[cfg(test)]

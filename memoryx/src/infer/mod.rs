@@ -101,6 +101,7 @@ pub struct RunningInference {
 /// Joins names to one name; a name that would be too long is cut, and a hash makes it unique.
 pub fn joined(names: &[&str]) -> String {
     let whole = names.join("-");
+    let is_forbidden = |c: char| c.is_control() || matches!(c, '/' | '*' | '#' | '?' | '$' | '@');
     let name: String = whole.chars().map(|c| if is_forbidden(c) { '_' } else { c }).collect();
     if name == whole && name.len() <= MAX_NAME_BYTES {
         return name;
@@ -114,10 +115,6 @@ pub fn joined(names: &[&str]) -> String {
     format!("{}-{hash}", &name[..cut])
 }
 
-fn is_forbidden(c: char) -> bool {
-    c.is_control() || matches!(c, '/' | '*' | '#' | '?' | '$' | '@')
-}
-
 impl Conclusion {
     fn instance(&self, by: &str) -> Instance {
         let evidence = |(id, version): &(EntityId, u64)| {
@@ -128,11 +125,8 @@ impl Conclusion {
         attributes.insert("concluded_by".into(), by.into());
         let because = self.because.iter().take(MAX_EVIDENCE).map(evidence).collect();
         attributes.insert("because".into(), Value::List(because));
-        Instance {
-            attributes: attributes.into(),
-            confidence: self.confidence,
-            covariance: self.covariance.clone(),
-        }
+        let (attributes, covariance) = (attributes.into(), self.covariance.clone());
+        Instance { attributes, confidence: self.confidence, covariance }
     }
 }
 
@@ -169,11 +163,8 @@ pub async fn conclude_once(
         let id = EntityId::new(&conclusion.segment, name, &conclusion.entity)?;
         let instance = conclusion.instance(name);
         let known = held.remove(&id);
-        if known
-            .as_ref()
-            .and_then(|s| s.instance())
-            .is_some_and(|known| equal_apart_from_evidence(known, &instance))
-        {
+        let same = |known: &Instance| equal_apart_from_evidence(known, &instance);
+        if known.as_ref().and_then(|s| s.instance()).is_some_and(same) {
             continue;
         }
         round.written += 1;

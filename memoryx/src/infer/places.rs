@@ -71,14 +71,11 @@ struct DayShare<'s> {
 }
 
 /// The cells of a class in a frame, by day and coordinates.
-#[derive(Default)]
-struct ClassSightings {
-    cells: BTreeMap<(u64, [i64; 3]), Cell>,
-}
+type Cells = BTreeMap<(u64, [i64; 3]), Cell>;
 
 /// All sightings, by class and frame.
 #[derive(Default)]
-struct Sightings(BTreeMap<(String, String), ClassSightings>);
+struct Sightings(BTreeMap<(String, String), Cells>);
 
 impl Sightings {
     /// Counts a snapshot of a day before today, which held until the next one of its entity at `until_ns`.
@@ -98,7 +95,7 @@ impl Sightings {
         let seconds = held_s.min(COUNTS_S.0).max(COUNTS_S.1);
         let seen = self.0.entry((class.to_owned(), frame.0.clone())).or_default();
         let at = place.map(|x| (x / CELL).floor() as i64);
-        let cell = seen.cells.entry((snapshot.referenced_ns / DAY_NS, at)).or_default();
+        let cell = seen.entry((snapshot.referenced_ns / DAY_NS, at)).or_default();
         cell.seconds += seconds;
         cell.places += Vector3::from(place) * seconds;
         cell.sightings += 1;
@@ -107,21 +104,19 @@ impl Sightings {
     }
 }
 
-impl ClassSightings {
-    /// The cells with their fractions of their days, the largest first.
-    fn shares(&self) -> Vec<DayShare<'_>> {
-        let mut days: BTreeMap<u64, f64> = BTreeMap::new();
-        for ((day, _), cell) in &self.cells {
-            *days.entry(*day).or_insert(0.0) += cell.seconds;
-        }
-        let mut shares = Vec::with_capacity(self.cells.len());
-        for ((day, _), cell) in &self.cells {
-            let weight = cell.seconds / days.get(day).copied().unwrap_or(cell.seconds);
-            shares.push(DayShare { cell, place: cell.places / cell.seconds, weight, day: *day });
-        }
-        shares.sort_by(|a, b| b.weight.total_cmp(&a.weight));
-        shares
+/// The cells with their fractions of their days, the largest first.
+fn shares(cells: &Cells) -> Vec<DayShare<'_>> {
+    let mut days: BTreeMap<u64, f64> = BTreeMap::new();
+    for ((day, _), cell) in cells {
+        *days.entry(*day).or_insert(0.0) += cell.seconds;
     }
+    let mut shares = Vec::with_capacity(cells.len());
+    for ((day, _), cell) in cells {
+        let weight = cell.seconds / days.get(day).copied().unwrap_or(cell.seconds);
+        shares.push(DayShare { cell, place: cell.places / cell.seconds, weight, day: *day });
+    }
+    shares.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    shares
 }
 
 /// Clusters the cells into places by DP-means.
@@ -145,9 +140,7 @@ fn clustered<'s>(shares: &'s [DayShare<'s>]) -> Vec<Vec<&'s DayShare<'s>>> {
         }
         let members = grouped(shares, &of, centres.len());
         for (centre, members) in centres.iter_mut().zip(&members) {
-            if let Some(mean) = mean(members) {
-                *centre = mean;
-            }
+            *centre = mean(members).unwrap_or(*centre);
         }
     }
     grouped(shares, &of, centres.len()).into_iter().filter(|members| !members.is_empty()).collect()
@@ -189,8 +182,8 @@ fn because(members: &[&DayShare<'_>]) -> Vec<(EntityId, u64)> {
 }
 
 /// The conclusions about one class in one frame.
-fn places(class: &str, frame: &str, seen: &ClassSightings) -> Vec<Conclusion> {
-    let shares = seen.shares();
+fn places(class: &str, frame: &str, seen: &Cells) -> Vec<Conclusion> {
+    let shares = shares(seen);
     let days = shares.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
     let mut places = clustered(&shares);
     places.sort_by(|a, b| weight(b).total_cmp(&weight(a)));

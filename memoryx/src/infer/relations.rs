@@ -160,11 +160,7 @@ impl Inference for SpatialRelations {
     }
 
     fn watches(&self) -> Vec<Pattern> {
-        vec![
-            Pattern::segment(OBJECT_INSTANCES),
-            Pattern::segment(ENVIRONMENT),
-            Pattern::segment(OBJECT_CLASSES),
-        ]
+        [OBJECT_INSTANCES, ENVIRONMENT, OBJECT_CLASSES].map(Pattern::segment).into()
     }
 
     fn pause(&self) -> Duration {

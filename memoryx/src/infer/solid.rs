@@ -86,10 +86,7 @@ pub(super) fn between(mean: f64, sigma: f64, low: f64, high: f64) -> f64 {
     (below((high - mean) / sigma) - below((low - mean) / sigma)).max(0.0)
 }
 
-/// The standard normal distribution function.
-///
-/// # Source
-/// Abramowitz and Stegun 1964, 7.1.26 for the error function: exact to 1.5e-7.
+/// The standard normal distribution function, exact to 1.5e-7 (Abramowitz and Stegun 1964, 7.1.26).
 fn below(x: f64) -> f64 {
     let z = x.abs() / std::f64::consts::SQRT_2;
     let t = 1.0 / (1.0 + 0.327_591_1 * z);

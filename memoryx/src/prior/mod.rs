@@ -141,10 +141,8 @@ impl ObjectClass {
             return impossible("object", error.to_string());
         }
         if !self.size.iter().all(|x| possible(*x, 10.0)) {
-            return impossible(
-                "size",
-                format!("{:?} m are not three lengths over 0 and up to 10 m", self.size),
-            );
+            let what = format!("{:?} m are not three lengths over 0 and up to 10 m", self.size);
+            return impossible("size", what);
         }
         if let Some(mass) = self.mass.filter(|m| !possible(*m, 1000.0)) {
             return impossible("mass", format!("{mass} kg is not over 0 and up to 1000 kg"));
@@ -153,10 +151,8 @@ impl ObjectClass {
             let numbers = grasp.pose.position.iter().chain(&grasp.pose.orientation);
             let lengths = grasp.approach.iter().chain(&grasp.aperture);
             if !numbers.chain(lengths).all(|x| x.is_finite()) {
-                return impossible(
-                    "grasps",
-                    format!("grasp `{}` has a number that is not finite", grasp.name),
-                );
+                let what = format!("grasp `{}` has a number that is not finite", grasp.name);
+                return impossible("grasps", what);
             }
             if self.grasps[..i].iter().any(|other| other.name == grasp.name) {
                 return impossible("grasps", format!("two grasps are named `{}`", grasp.name));
@@ -182,6 +178,7 @@ impl ObjectClass {
         }
         let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
         let color = snapshot.attribute("color").and_then(rgb);
+        let size = snapshot.attribute("size").and_then(Value::as_vector3);
         let method = text("recognition").and_then(Recognition::from_name);
         let grasps = match snapshot.attribute("grasps") {
             None => Some(Vec::new()),
@@ -191,10 +188,7 @@ impl ObjectClass {
             name: snapshot.id.entity().into(),
             description: text("description").unwrap_or_default().into(),
             color: color.ok_or_else(|| missing("color", "three numbers from 0 to 255"))?,
-            size: snapshot
-                .attribute("size")
-                .and_then(Value::as_vector3)
-                .ok_or_else(|| missing("size", "three lengths in m"))?,
+            size: size.ok_or_else(|| missing("size", "three lengths in m"))?,
             mass: snapshot.attribute("mass").and_then(Value::as_f64),
             recognition: method.ok_or_else(|| missing("recognition", "the name of a method"))?,
             grasps: grasps.ok_or_else(|| missing("grasps", "a list of grasps with name and pose"))?,
@@ -244,12 +238,9 @@ fn grasp_value(grasp: &GraspPose) -> Value {
 fn grasp_from(value: &Value) -> Option<GraspPose> {
     let Value::Pose(pose) = value.get("pose")? else { return None };
     let length = |name: &str| value.get(name).and_then(Value::as_f64);
-    Some(GraspPose {
-        name: value.get("name")?.as_str()?.into(),
-        pose: pose.clone(),
-        approach: length("approach"),
-        aperture: length("aperture"),
-    })
+    let name = value.get("name")?.as_str()?.into();
+    let (approach, aperture) = (length("approach"), length("aperture"));
+    Some(GraspPose { name, pose: pose.clone(), approach, aperture })
 }
 
 impl GraspPose {

@@ -224,11 +224,7 @@ impl Placed {
         let class = self.class.as_ref().map(|class| ("class", Value::from(class.as_str())));
         let size = self.size.map(|size| ("size", Value::from(size)));
         let pose = Some(("pose", Value::Pose(self.pose.clone())));
-        [name, class, size, pose]
-            .into_iter()
-            .flatten()
-            .map(|(name, value)| (name.to_owned(), value))
-            .collect()
+        [name, class, size, pose].into_iter().flatten().map(|(n, value)| (n.to_owned(), value)).collect()
     }
 }
 

@@ -124,14 +124,10 @@ impl ChangeSource for RemoteChanges {
             }
             tokio::select! {
                 biased;
-                service = self.services.next() => match service {
-                    Some(service) => self.received.note_alive(service.alive),
-                    None => return Err(RecvError::Closed),
-                },
-                message = self.messages.next() => match message {
-                    Some(message) => self.take(message).await,
-                    None => return Err(RecvError::Closed),
-                },
+                service = self.services.next() => {
+                    self.received.note_alive(service.ok_or(RecvError::Closed)?.alive);
+                }
+                message = self.messages.next() => self.take(message.ok_or(RecvError::Closed)?).await,
             }
         }
     }

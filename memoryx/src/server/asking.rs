@@ -156,9 +156,7 @@ impl ServedMemory {
             };
             drop(turn);
             for snapshot in answer.snapshots {
-                let (Ok(key), Ok((encoding, payload))) =
-                    (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
-                else {
+                let Some((key, encoding, payload)) = wire::of_entity(&self.agent, &snapshot) else {
                     continue;
                 };
                 question.reply(&key, &encoding, payload).await?;

@@ -68,9 +68,7 @@ impl MemoryServer {
     ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
         let requests = keys::memory_commit(agent)?;
-        let named_requests = keys::memory_by_pattern(agent)?;
         let entities = wire::every_entity(agent)?;
-        let service = keys::alive(agent, "memory")?;
 
         let publisher = ChangePublisher::new(session, agent, Arc::clone(&memory)).await?;
         let shared = ServedMemory {
@@ -87,14 +85,15 @@ impl MemoryServer {
         let mut tasks = JoinSet::new();
         let questions = session.declare_queryable(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
-        let questions = session.declare_queryable(named_requests, QUEUE).await.map_err(failed)?;
+        let by_pattern = keys::memory_by_pattern(agent)?;
+        let questions = session.declare_queryable(by_pattern, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
         let gets = session.declare_queryable(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.take_updates(updates));
         tasks.spawn(publisher.publish());
-        let alive = session.alive(&service).await.map_err(failed)?;
+        let alive = session.alive(&keys::alive(agent, "memory")?).await.map_err(failed)?;
         Ok(Self { _alive: alive, _tasks: tasks })
     }
 }
@@ -135,10 +134,7 @@ impl ServedMemory {
                 let versions = self.begin_commit(&question);
                 question.payload = Vec::new();
                 answers.spawn(async move {
-                    let versions = match versions {
-                        Ok(versions) => versions.await,
-                        Err(error) => Err(error),
-                    };
+                    let versions = async { versions?.await }.await;
                     drop(waiting);
                     let sealed = versions.and_then(|versions| shared.sealed(&Versions(versions)));
                     shared.send(&question, sealed).await;
@@ -229,11 +225,7 @@ impl ServedMemory {
                 next = if begun.len() < MAX_GROUP { updates.try_next() } else { None };
             }
             for (begun, message) in begun {
-                let result = match begun {
-                    Ok(versions) => versions.await,
-                    Err(error) => Err(error),
-                };
-                if let Err(error) = result {
+                if let Err(error) = async { begun?.await }.await {
                     let sender = self.session.sender(message.sender.as_deref()).await;
                     self.refusals.note(&sender, &message.key, &error);
                 }

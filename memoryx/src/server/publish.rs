@@ -61,6 +61,7 @@ impl ChangePublisher {
     ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
         let changes = memory.changes(&Pattern::any());
+        let all_changes = keys::memory_all_changes(agent)?.into();
         Ok(Self {
             session: session.clone(),
             agent: agent.into(),
@@ -70,10 +71,7 @@ impl ChangePublisher {
             memory,
             streams: BTreeMap::new(),
             followers: session.interest(&keys::memory_changes(agent, None)?).await.map_err(failed)?,
-            followers_of_all: session
-                .interest(&keys::memory_all_changes(agent)?.into())
-                .await
-                .map_err(failed)?,
+            followers_of_all: session.interest(&all_changes).await.map_err(failed)?,
             each: session.interest(&wire::every_entity(agent)?).await.map_err(failed)?,
         })
     }
@@ -209,11 +207,7 @@ impl ChangePublisher {
     /// Publishes changes on the keys of their entities.
     async fn publish_each(&self, news: &[Arc<Snapshot>]) {
         for snapshot in news {
-            let (Ok(key), Ok((encoding, payload))) =
-                (wire::entity_key(&self.agent, snapshot), wire::seal(&**snapshot))
-            else {
-                continue;
-            };
+            let Some((key, encoding, payload)) = wire::of_entity(&self.agent, snapshot) else { continue };
             log_failure(self.session.put(&key, &encoding, payload).await);
         }
     }

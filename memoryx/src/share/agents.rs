@@ -43,10 +43,7 @@ impl FromStr for Followee {
     type Err = MemoryError;
 
     fn from_str(text: &str) -> Result<Self, MemoryError> {
-        let (agent, segment) = match text.split_once(':') {
-            Some((agent, segment)) => (agent, Some(segment)),
-            None => (text, None),
-        };
+        let (agent, segment) = text.split_once(':').map_or((text, None), |(agent, of)| (agent, Some(of)));
         for name in [Some(agent), segment].into_iter().flatten() {
             check_name(name)?;
         }
@@ -112,15 +109,12 @@ impl FollowingAgent {
 
     /// Follows the agents' poses, then the rest. If no pose comes, this is an error when it is needed.
     async fn try_follow(&self, other: &Followee, needs_pose: bool) -> Result<FollowedAgent, MemoryError> {
-        let agent = other.agent.as_str();
+        let (own, agent) = (&self.own, other.agent.as_str());
         let remote = Arc::new(RemoteMemory::connect(&self.session, agent).await?);
         if let Some(ahead_s) = remote.clock_ahead_s(|| self.memory.now_ns()).await?
             && ahead_s.abs() > CLOCKS_APART_S
         {
-            tracing::warn!(
-                "the clock of `{agent}` is {ahead_s:+.2} s from that of `{}`: set both by NTP",
-                self.own
-            );
+            tracing::warn!("the clock of `{agent}` is {ahead_s:+.2} s from that of `{own}`: set both by NTP");
         }
         let mut followed = FollowedAgent { remote, followings: Vec::new() };
         self.follow_segment(&mut followed, agent, AGENTS).await?;
@@ -131,8 +125,7 @@ impl FollowingAgent {
                 return Err(MemoryError::Remote { agent: agent.into(), what });
             }
             tracing::warn!(
-                "`{agent}` or `{}` does not say where it stands, so what comes is in the frame `{agent}/root`: {missing}",
-                self.own
+                "`{agent}` or `{own}` does not say where it stands, so what comes is in the frame `{agent}/root`: {missing}"
             );
         }
         let segments = other.segment.as_deref().map_or(DEFAULT_SEGMENTS.to_vec(), |segment| vec![segment]);

@@ -39,7 +39,7 @@ pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<
 /// covariances; those in the world frame stay; other frames get the agent's name as prefix.
 pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Isometry3<f64>>) -> Instance {
     let (root, translation) = (Frame::root(), Translation { agent, own_from_other });
-    let change = translation.of(&root);
+    let change = own_from_other.map(|to_from_from| FrameChange { from: &root, to: &root, to_from_from });
     let moved = |name: &str, value: &Value| change.map_or_else(|| value.clone(), |by| by.value(name, value));
     let mut covariance = BTreeMap::new();
     for (name, rows) in &instance.covariance {
@@ -47,11 +47,8 @@ pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Iso
         let turned = change.filter(|_| in_root).map(|by| by.covariance(rows));
         covariance.insert(name.clone(), turned.unwrap_or_else(|| rows.clone()));
     }
-    let pairs = instance
-        .attributes
-        .iter()
-        .map(|(name, value)| (name.to_owned(), translation.named(moved(name, value))));
-    let attributes = Attributes::from(pairs.collect::<BTreeMap<String, Value>>());
+    let named = |(name, value): (&str, &Value)| (name.to_owned(), translation.named(moved(name, value)));
+    let attributes = Attributes::from(instance.attributes.iter().map(named).collect::<BTreeMap<_, _>>());
     Instance { attributes, confidence: instance.confidence, covariance }
 }
 
@@ -62,11 +59,6 @@ struct Translation<'a> {
 }
 
 impl Translation<'_> {
-    /// The change of frame for values in a frame, if they are to be transformed.
-    fn of<'f>(&'f self, root: &'f Frame) -> Option<FrameChange<'f>> {
-        self.own_from_other.map(|to_from_from| FrameChange { from: root, to: root, to_from_from })
-    }
-
     fn frame(&self, frame: &Frame) -> Frame {
         let is_known = frame.0 == WORLD || (*frame == Frame::root() && self.own_from_other.is_some());
         if is_known { frame.clone() } else { Frame(format!("{}/{}", self.agent, frame.0)) }

@@ -113,10 +113,8 @@ async fn last_taken(
     let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PAGE_SIZE);
     while let Some(piece) = pieces.next(memory).await? {
         for snapshot in piece {
-            let number = |name: &str| {
-                let origin = snapshot.attribute("origin")?.get(name)?.as_int()?;
-                u64::try_from(origin).ok()
-            };
+            let origin = |name: &str| snapshot.attribute("origin")?.get(name)?.as_int();
+            let number = |name: &str| u64::try_from(origin(name)?).ok();
             let provider = snapshot.id.provider().strip_prefix(&prefix).unwrap_or_default();
             let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
             let last = told.entry(id).or_default();

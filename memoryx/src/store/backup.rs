@@ -41,7 +41,12 @@ impl LongTermMemory {
             let _ = std::fs::remove_file(&unfinished).is_ok();
             let to =
                 checked::open(&unfinished, &Builder::new(), &Arc::default()).map_err(redb::Error::from)?;
-            copy_all(&database.begin_read()?, &to)
+            let from = database.begin_read()?;
+            copy(&from, &to, INDEX)?;
+            copy(&from, &to, CHUNKS)?;
+            copy(&from, &to, AGES)?;
+            copy(&from, &to, KEPT)?;
+            copy_all_but_records(&from, &to)
         });
         let copied = copied.and_then(|()| {
             std::fs::rename(&unfinished, &copy).map_err(|error| self.failed(&format!("the copy: {error}")))
@@ -51,14 +56,6 @@ impl LongTermMemory {
         }
         copied.map(|()| copy)
     }
-}
-
-fn copy_all(from: &ReadTransaction, to: &Database) -> Result<(), Fault> {
-    copy(from, to, INDEX)?;
-    copy(from, to, CHUNKS)?;
-    copy(from, to, AGES)?;
-    copy(from, to, KEPT)?;
-    copy_all_but_records(from, to)
 }
 
 /// Copies what is not of records: names, blobs, versions, and what the file says of itself.

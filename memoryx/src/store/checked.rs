@@ -277,10 +277,8 @@ fn head_sum(head: &[u8; HEAD]) -> [u8; 4] {
 fn in_head(offset: u64, len: usize) -> io::Result<std::ops::Range<usize>> {
     let from = DATABASE_AT + offset as usize;
     if from + len > HEAD {
-        return Err(io::Error::new(
-            io::ErrorKind::InvalidInput,
-            "the database's header is longer than it was",
-        ));
+        let what = "the database's header is longer than it was";
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     }
     Ok(from..from + len)
 }

@@ -169,13 +169,8 @@ impl Consolidator {
     /// When the store cannot be read.
     pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Result<Self, StoreError> {
         let noted = store.given_to_others()?;
-        let state = Mutex::new(ConsolidatorState {
-            noted,
-            given: noted,
-            given_before: noted,
-            ..ConsolidatorState::default()
-        });
-        Ok(Self { store, policies, state })
+        let state = ConsolidatorState { noted, given: noted, given_before: noted, ..Default::default() };
+        Ok(Self { store, policies, state: Mutex::new(state) })
     }
 
     /// The store that it writes to.
@@ -295,10 +290,8 @@ impl Consolidator {
             let mut state = self.state.lock();
             let part = || state.last.range((from.clone(), Bound::Unbounded)).take(PART);
             after = part().nth(PART - 1).map(|(id, _)| Bound::Excluded(id.clone()));
-            let held: Vec<_> = part()
-                .filter(|(id, last)| is_held(id, last))
-                .filter_map(|(_, last)| last.pending.clone())
-                .collect();
+            let held = part().filter(|(id, last)| is_held(id, last));
+            let held: Vec<_> = held.filter_map(|(_, last)| last.pending.clone()).collect();
             let kept: Vec<_> = held.iter().map(|snapshot| self.policies.as_kept(snapshot)).collect();
             self.store.persist_with(&kept, &[])?;
             for snapshot in &held {

@@ -60,15 +60,13 @@ impl LongTermMemory {
             failure = written.err();
             failure.is_none()
         })?;
-        match failure.map_or_else(|| to.flush(), Err) {
-            Ok(()) => match first {
-                None => Ok(count),
-                Some(what) => Err(self.damaged(format!(
-                    "{damages} places cannot be read, the first: {what}; the {count} snapshots that are intact were written"
-                ))),
-            },
-            Err(what) => Err(self.failed(&format!("the export cannot be written: {what}"))),
+        if let Err(what) = failure.map_or_else(|| to.flush(), Err) {
+            return Err(self.failed(&format!("the export cannot be written: {what}")));
         }
+        let Some(what) = first else { return Ok(count) };
+        Err(self.damaged(format!(
+            "{damages} places cannot be read, the first: {what}; the {count} snapshots that are intact were written"
+        )))
     }
 
     /// Stores the snapshots of all lines, skipping those already stored. Returns how many were new.

@@ -269,9 +269,7 @@ impl LongTermMemory {
             Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
         while goes_on() {
             let found = self.query(&query)?;
-            let Some(last) = found.last().map(|s| Cursor::after(s)) else {
-                break;
-            };
+            let Some(last) = found.last().map(|s| Cursor::after(s)) else { break };
             let is_cut = query.is_filled_by(&found);
             let (count, error) = memory.restore(found);
             restored += count;
@@ -296,15 +294,9 @@ impl LongTermMemory {
         let file_bytes = self.path.as_ref().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len());
         self.with(|database| {
             let transaction = database.begin_read()?;
-            let meta = transaction.open_table(META)?;
-            let totals = Totals::read(&meta)?;
-            let entities = transaction.open_table(ENTITIES)?;
-            Ok(StoreStats {
-                entities: entities.len()?,
-                snapshots: totals.snapshots,
-                bytes: totals.bytes,
-                file_bytes,
-            })
+            let Totals { snapshots, bytes, .. } = Totals::read(&transaction.open_table(META)?)?;
+            let entities = transaction.open_table(ENTITIES)?.len()?;
+            Ok(StoreStats { entities, snapshots, bytes, file_bytes })
         })
     }
 }

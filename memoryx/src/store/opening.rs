@@ -22,13 +22,14 @@ impl LongTermMemory {
     /// Uses the database; opens it again first if it has failed.
     pub(super) fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, Fault>) -> Result<T, StoreError> {
         let open = self.database.read().clone();
-        let open = match open {
-            Some(open) => open,
-            None => self.reopen()?,
-        };
+        let open = open.map_or_else(|| self.reopen(), Ok)?;
         let result = self.contained(|| act(&open));
         self.closed(Some(open));
-        self.close_after(&result);
+        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
+        {
+            // The next use opens the file again.
+            self.close();
+        }
         self.release();
         result
     }
@@ -54,14 +55,6 @@ impl LongTermMemory {
         // Whoever still uses it closes it later.
         if open.as_ref().is_some_and(|open| Arc::strong_count(open) == 1) {
             self.closed(open.take());
-        }
-    }
-
-    /// Drops the database after a failure, so that the next use opens the file again.
-    fn close_after<T>(&self, result: &Result<T, StoreError>) {
-        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
-        {
-            self.close();
         }
     }
 

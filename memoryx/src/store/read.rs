@@ -96,8 +96,7 @@ impl Reader {
 
     /// When the newest record of the oldest chunk arrived that retention has not come to, ns.
     pub(super) fn oldest_chunk(&self) -> Result<Option<u64>, Fault> {
-        let oldest = self.ages.first()?;
-        Ok(oldest.map(|(key, _)| key.value().0))
+        Ok(self.ages.first()?.map(|(key, _)| key.value().0))
     }
 
     /// Whether a record is forgotten, though its chunk is still there.
@@ -172,8 +171,7 @@ impl Reader {
             Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
             _ => {
                 let (mut from, to) = self.bounds(asked, entity)?;
-                if let Some(limit) = asked.query().limit {
-                    let mut left = limit;
+                if let Some(mut left) = asked.query().limit {
                     self.choose(asked, entity, (from, to), true, |version, _| {
                         left -= 1;
                         from = version;
@@ -394,9 +392,6 @@ impl LongTermMemory {
     }
 
     /// As [`Self::scan`], but continues after damage: `act` also gets a description of each damaged place.
-    ///
-    /// # Errors
-    /// When the file cannot be read at all.
     pub(super) fn scan_intact(
         &self,
         mut act: impl FnMut(Result<Snapshot, RecordError>) -> bool,
@@ -456,10 +451,7 @@ impl LongTermMemory {
     }
 
     pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read()?;
-            act(&Reader::new(&transaction)?)
-        })
+        self.with(|database| act(&Reader::new(&database.begin_read()?)?))
     }
 }
 

@@ -151,69 +151,53 @@ fn put_numbers(to: &mut Vec<u8>, numbers: &[f64]) {
     numbers.iter().for_each(|n| to.extend_from_slice(&n.to_le_bytes()));
 }
 
+/// Appends the byte for a value's kind, after which its content comes.
+fn kind(to: &mut Vec<u8>, kind: u8) -> &mut Vec<u8> {
+    to.push(kind);
+    to
+}
+
 fn put_value<'s>(to: &mut Vec<u8>, value: &'s Value, blobs: &mut Vec<(Hash, &'s [u8])>) {
     match value {
         Value::Null => to.push(0),
         Value::Bool(b) => to.push(1 + u8::from(*b)),
-        Value::Int(i) => {
-            to.push(3);
-            to.extend_from_slice(&i.to_le_bytes());
-        }
-        Value::Float(f) => {
-            to.push(4);
-            put_numbers(to, &[*f]);
-        }
-        Value::String(text) => {
-            to.push(5);
-            put_bytes(to, text.as_bytes());
-        }
-        Value::Duration(s) => {
-            to.push(6);
-            put_numbers(to, &[*s]);
-        }
+        Value::Int(i) => kind(to, 3).extend_from_slice(&i.to_le_bytes()),
+        Value::Float(f) => put_numbers(kind(to, 4), &[*f]),
+        Value::String(text) => put_bytes(kind(to, 5), text.as_bytes()),
+        Value::Duration(s) => put_numbers(kind(to, 6), &[*s]),
         Value::Bytes(bytes) if bytes.len() >= BLOB_FROM => {
             let hash: Hash = Sha256::digest(bytes).into();
-            to.push(7);
-            to.extend_from_slice(&hash);
+            kind(to, 7).extend_from_slice(&hash);
             blobs.push((hash, bytes));
         }
-        Value::Bytes(bytes) => {
-            to.push(8);
-            put_bytes(to, bytes);
-        }
+        Value::Bytes(bytes) => put_bytes(kind(to, 8), bytes),
         Value::List(items) => {
-            to.push(9);
-            put_count(to, items.len());
+            put_count(kind(to, 9), items.len());
             items.iter().for_each(|item| put_value(to, item, blobs));
         }
         Value::Map(fields) => {
-            to.push(10);
-            put_count(to, fields.len());
+            put_count(kind(to, 10), fields.len());
             for (name, field) in fields {
                 put_bytes(to, name.as_bytes());
                 put_value(to, field, blobs);
             }
         }
         Value::Vector(v) => {
-            to.push(11);
-            put_bytes(to, v.frame.0.as_bytes());
+            put_bytes(kind(to, 11), v.frame.0.as_bytes());
             put_numbers(to, &v.components);
         }
         Value::Pose(p) => {
-            to.push(12);
-            put_bytes(to, p.frame.0.as_bytes());
+            put_bytes(kind(to, 12), p.frame.0.as_bytes());
             put_numbers(to, &p.position);
             put_numbers(to, &p.orientation);
         }
         Value::Wrench(w) => {
-            to.push(13);
-            put_bytes(to, w.frame.0.as_bytes());
+            put_bytes(kind(to, 13), w.frame.0.as_bytes());
             put_numbers(to, &w.force);
             put_numbers(to, &w.torque);
         }
         Value::Reference(r) => {
-            to.push(14);
-            put_bytes(to, r.kind.as_bytes());
+            put_bytes(kind(to, 14), r.kind.as_bytes());
             put_bytes(to, r.id.as_bytes());
         }
     }
@@ -353,10 +337,7 @@ impl<'b> Cursor<'b> {
     fn snapshot(&mut self, id: &EntityId, version: u64, blobs: Blobs<'_>) -> Result<Snapshot, RecordError> {
         let (referenced_ns, sent_ns, arrived_ns) = (self.u64()?, self.u64()?, self.u64()?);
         let count = self.count()?;
-        let mut instances = Vec::with_capacity(count);
-        for _ in 0..count {
-            instances.push(self.instance(blobs)?);
-        }
+        let instances = (0..count).map(|_| self.instance(blobs)).collect::<Result<_, _>>()?;
         Ok(Snapshot { id: id.clone(), version, referenced_ns, sent_ns, arrived_ns, instances })
     }
 
@@ -365,8 +346,7 @@ impl<'b> Cursor<'b> {
         let count = self.count()?;
         let mut pairs = Vec::with_capacity(count);
         for _ in 0..count {
-            let name = self.text()?;
-            pairs.push((name.into(), self.value(blobs, MAX_DEPTH)?));
+            pairs.push((self.text()?.into(), self.value(blobs, MAX_DEPTH)?));
         }
         let mut covariance = BTreeMap::new();
         for _ in 0..self.count()? {

@@ -73,9 +73,7 @@ impl LongTermMemory {
         Ok(Dropped {
             snapshots: start.snapshots.saturating_sub(end.snapshots),
             bytes: start.bytes.saturating_sub(end.bytes),
-            over: retention
-                .bytes
-                .map_or(0, |most| (end.bytes + end.snapshots * ROW_BYTES).saturating_sub(most)),
+            over: (end.bytes + end.snapshots * ROW_BYTES).saturating_sub(retention.bytes.unwrap_or(u64::MAX)),
         })
     }
 

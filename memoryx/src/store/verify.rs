@@ -62,25 +62,18 @@ impl LongTermMemory {
         self.with(|database| {
             let transaction = database.begin_read()?;
             let mut uses = BTreeMap::new();
-            let reader = Reader::new(&transaction)?;
-            verify_records(&reader, &mut uses, found)?;
-            let meta = transaction.open_table(META)?;
-            let totals = Totals::read(&meta)?;
-            if totals.snapshots != found.intact {
-                found.damage(format!(
-                    "{} snapshots are counted, {} are intact",
-                    totals.snapshots, found.intact
-                ));
+            verify_records(&Reader::new(&transaction)?, &mut uses, found)?;
+            let Totals { snapshots, .. } = Totals::read(&transaction.open_table(META)?)?;
+            if snapshots != found.intact {
+                found.damage(format!("{snapshots} snapshots are counted, {} are intact", found.intact));
             }
-            let blobs = transaction.open_table(BLOBS)?;
-            for row in blobs.iter()? {
+            for row in transaction.open_table(BLOBS)?.iter()? {
                 let (hash, content) = row?;
                 if Sha256::digest(content.value()).as_slice() != hash.value() {
                     found.damage("a large value is not as it was written".into());
                 }
             }
-            let counted = transaction.open_table(BLOB_USES)?;
-            for row in counted.iter()? {
+            for row in transaction.open_table(BLOB_USES)?.iter()? {
                 let (hash, count) = row?;
                 if uses.remove(hash.value()) != Some(count.value()) {
                     found.damage("the uses of a large value are not counted as they are".into());

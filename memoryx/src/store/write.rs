@@ -24,6 +24,7 @@ const MAX_CACHED: usize = 100_000;
 /// Cached facts about an entity.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EntityFacts {
+    /// Unique in the file.
     pub(super) number: u64,
     /// 0 when nothing is kept.
     pub(super) newest: u64,
@@ -135,16 +136,10 @@ impl<'t> Writer<'t> {
         Ok(EntityFacts { number, newest, newest_referenced_ns: referenced, ordered })
     }
 
-    /// The number of an entity, unique in the file.
-    pub(super) fn number(&mut self, id: &EntityId, memo: &EntityCache) -> Result<u64, Fault> {
-        Ok(self.know(id, memo)?.number)
-    }
-
     /// Whether a version of an entity is stored.
     pub(super) fn holds(&mut self, id: &EntityId, version: u64, memo: &EntityCache) -> Result<bool, Fault> {
         let number = self.know(id, memo)?.number;
-        let row = self.index.get((number, version))?;
-        Ok(row.is_some())
+        Ok(self.index.get((number, version))?.is_some())
     }
 
     /// Adds a snapshot unless it is already stored; where others write too, behind what they have stored meanwhile. Returns
@@ -217,25 +212,18 @@ impl<'t> Writer<'t> {
 
     /// Moves a record to the end.
     pub(super) fn move_record(&mut self, record: &[u8], head: record::RecordHeader) -> Result<(), Fault> {
-        self.make_room(record.len())?;
+        if !self.open.is_empty() && self.open.len() + record.len() > MAX_CHUNK_BYTES {
+            self.close_chunk()?;
+        }
         self.open.extend_from_slice(record);
         let (referenced_ns, arrived_ns) = record::times(record)?;
         self.newest_arrival = self.newest_arrival.max(arrived_ns);
         self.note(head.number, head.version, record.len(), referenced_ns)
     }
 
-    fn make_room(&mut self, bytes: usize) -> Result<(), Fault> {
-        if !self.open.is_empty() && self.open.len() + bytes > MAX_CHUNK_BYTES {
-            self.close_chunk()
-        } else {
-            Ok(())
-        }
-    }
-
     pub(super) fn close_chunk(&mut self) -> Result<(), Fault> {
         if !self.open.is_empty() {
-            let inserted = self.chunks.insert(self.totals.next_chunk, self.open.as_slice());
-            inserted?;
+            self.chunks.insert(self.totals.next_chunk, self.open.as_slice())?;
             if self.keeps {
                 self.kept.insert(self.totals.next_chunk, self.open.len() as u64)?;
             } else {
@@ -315,7 +303,7 @@ impl<'t> Writer<'t> {
         version: u64,
         memo: &EntityCache,
     ) -> Result<(), Fault> {
-        let number = id.map_or(Ok(OF_OTHERS), |id| self.number(id, memo))?;
+        let number = id.map_or(Ok(OF_OTHERS), |id| self.know(id, memo).map(|known| known.number))?;
         self.given.insert(number, version)?;
         Ok(())
     }

@@ -2,6 +2,9 @@
 
 use nalgebra::{Cholesky, Matrix3, Vector3};
 
+/// Halvings of the search for the best weight: 1e-4 of the whole.
+const HALVINGS: usize = 20;
+
 /// A position with its covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaussian {
@@ -57,12 +60,7 @@ impl Gaussian {
         let covariance = (covariance + covariance.transpose()) * 0.5;
         Some(Self { mean: self.mean + gain * (observed.mean - self.mean), covariance })
     }
-}
 
-/// Halvings of the search for the best weight: 1e-4 of the whole.
-const HALVINGS: usize = 20;
-
-impl Gaussian {
     /// Fuses two estimates of one position of which it is not known how much they have in common, such as one that another agent
     /// has fused: covariance intersection, with the weight for which the trace of the covariance is least. The result claims no
     /// more than is certain, whatever both have in common.

@@ -345,10 +345,8 @@ impl Updater {
             let last_counts = last_counts(observation);
             // A new entity costs as much as a distance equal to the gate. What has no place in the same frame may be the entity, if
             // nothing fits better.
-            let (fresh, unplaced) = match last_counts {
-                true => (f64::MAX.sqrt(), f64::MAX.sqrt() / 2.0),
-                false => (self.settings.gate, 0.999 * self.settings.gate),
-            };
+            let fresh = if last_counts { f64::MAX.sqrt() } else { self.settings.gate };
+            let unplaced = if last_counts { fresh / 2.0 } else { 0.999 * fresh };
             let mut row = Vec::new();
             for entity in known {
                 let prior = predict(entity, observation.stamp_ns, held, &*self.carriers, &self.settings);

@@ -61,10 +61,7 @@ impl MotionModel {
         let text = |name: &str| instance.attributes.get(name).and_then(Value::as_str).map(str::to_owned);
         let offset = match instance.attributes.get("offset") {
             Some(Value::Pose(pose)) => pose.isometry(),
-            offset => {
-                let at = offset.and_then(Value::as_vector3).unwrap_or_default();
-                Translation3::from(at).into()
-            }
+            offset => Translation3::from(offset.and_then(Value::as_vector3).unwrap_or_default()).into(),
         };
         match (text("motion_model").as_deref(), text("attached_to")) {
             (Some("hand"), Some(name)) => Self::Hand { name, offset },

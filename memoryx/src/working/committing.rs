@@ -41,8 +41,6 @@ pub(super) struct CommittingThread {
 }
 
 impl CommittingThread {
-    /// # Errors
-    /// [`MemoryError::Store`] when the system gives no more threads.
     pub(super) fn start(core: Arc<Core>) -> Result<Self, MemoryError> {
         let (requests, waiting) = mpsc::channel::<(Request, Answer)>();
         // In virtual time, whoever commits waits on his own thread, so that the clock waits with him.
@@ -228,14 +226,9 @@ impl Core {
         let version = version.max(given);
         let owner = Some(owner(&update.id)).filter(|_| self.limits.shares > 1 && !prior);
         self.check_room(next, &update.id, &update.instances, newest.is_none(), owner)?;
-        Ok(Arc::new(Snapshot {
-            id: update.id,
-            version: version.saturating_add(1),
-            referenced_ns: update.referenced_ns,
-            sent_ns,
-            arrived_ns: writer.last_arrival,
-            instances: update.instances,
-        }))
+        let Commit { id, referenced_ns, instances, .. } = update;
+        let (version, arrived_ns) = (version.saturating_add(1), writer.last_arrival);
+        Ok(Arc::new(Snapshot { id, version, referenced_ns, sent_ns, arrived_ns, instances }))
     }
 
     pub(super) fn check(&self, id: &EntityId, instances: &[Instance]) -> Result<(), MemoryError> {
@@ -278,7 +271,7 @@ impl Core {
         let share = limit(whole.entities / shares as usize, whole.bytes / u64::from(shares));
         let of_owner = owner.map(|owner| (held.usage(owner), share));
         let bytes = bytes_of(id, instances);
-        for (taken, most) in std::iter::once((held.all(), whole)).chain(of_owner) {
+        for (taken, most) in std::iter::once((held.all, whole)).chain(of_owner) {
             if is_new && taken.entities >= most.entities {
                 return Err(MemoryError::Full { id: id.to_string(), entities: most.entities as u64 });
             }

@@ -4,7 +4,6 @@
 use std::hash::{BuildHasherDefault, DefaultHasher};
 use std::mem::size_of;
 use std::ops::Bound::{Included, Unbounded};
-use std::ops::{Add, Sub};
 use std::sync::Arc;
 
 use armarium_values::Value;
@@ -33,11 +32,12 @@ pub(super) struct Content {
     segments: OrdMap<Arc<str>, Segment>,
     /// What is read-only: core segment and provider segment.
     read_only: OrdSet<(Arc<str>, Arc<str>)>,
-    all: Usage,
+    /// What the whole memory takes.
+    pub(super) all: Usage,
     /// What each owner takes.
     usage: OrdMap<Arc<str>, Usage>,
     /// When the last of its snapshots arrived, ns.
-    last_arrival: u64,
+    pub(super) last_arrival: u64,
     /// The removed entities by arrival time, ns.
     removed: OrdSet<(u64, EntityId)>,
     /// The entities that are to be removed, by when, ns.
@@ -74,26 +74,12 @@ pub(super) struct Usage {
     pub(super) updates: u64,
 }
 
-impl Add for Usage {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
+impl Usage {
+    fn changed(self, more: Self, less: Self) -> Self {
         Self {
-            entities: self.entities + other.entities,
-            bytes: self.bytes + other.bytes,
-            updates: self.updates + other.updates,
-        }
-    }
-}
-
-impl Sub for Usage {
-    type Output = Self;
-
-    fn sub(self, other: Self) -> Self {
-        Self {
-            entities: self.entities.saturating_sub(other.entities),
-            bytes: self.bytes.saturating_sub(other.bytes),
-            updates: self.updates.saturating_sub(other.updates),
+            entities: (self.entities + more.entities).saturating_sub(less.entities),
+            bytes: (self.bytes + more.bytes).saturating_sub(less.bytes),
+            updates: (self.updates + more.updates).saturating_sub(less.updates),
         }
     }
 }
@@ -126,19 +112,9 @@ impl Segment {
 }
 
 impl Content {
-    /// What the whole memory takes.
-    pub(super) fn all(&self) -> Usage {
-        self.all
-    }
-
     /// What an owner's provider segments take.
     pub(super) fn usage(&self, owner: &str) -> Usage {
         self.usage.get(owner).copied().unwrap_or_default()
-    }
-
-    /// When the last of its snapshots arrived, ns.
-    pub(super) fn last_arrival(&self) -> u64 {
-        self.last_arrival
     }
 
     /// What each owner takes.
@@ -247,8 +223,8 @@ impl Content {
     }
 
     fn count(&mut self, id: &EntityId, more: Usage, less: Usage) {
-        self.all = self.all + more - less;
-        let usage = self.usage(owner(id)) + more - less;
+        self.all = self.all.changed(more, less);
+        let usage = self.usage(owner(id)).changed(more, less);
         if usage.entities == 0 {
             self.usage.remove(owner(id));
         } else if let Some(known) = self.usage.get_mut(owner(id)) {

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_values::{Frame, Value};
+use armarium_values::Frame;
 use imbl::{OrdMap, OrdSet};
 
 use crate::checked_query::CheckedQuery;
@@ -26,14 +26,6 @@ pub(super) struct Index {
     cells: OrdMap<Cell, OrdSet<EntityId>>,
 }
 
-/// What is found by of an entity.
-fn class_of(snapshot: &Snapshot) -> Option<&str> {
-    match snapshot.attribute("class")? {
-        Value::String(class) => Some(class),
-        _ => None,
-    }
-}
-
 /// The cell of a point; those that are very far away share the outermost cells.
 fn cell_of(place: &[f64; 3]) -> [i32; 3] {
     // The conversion saturates.
@@ -48,7 +40,7 @@ fn place(snapshot: &Snapshot) -> Option<(&str, [i32; 3])> {
 impl Index {
     /// An entity has a new newest snapshot, or none any more.
     pub(super) fn change(&mut self, id: &EntityId, before: Option<&Snapshot>, after: Option<&Snapshot>) {
-        let classes = [before, after].map(|snapshot| snapshot.and_then(class_of));
+        let classes = [before, after].map(|snapshot| snapshot?.attribute("class")?.as_str());
         if classes[0] != classes[1] {
             classes[0].inspect(|class| take_out(&mut self.classes, *class, id));
             classes[1].inspect(|class| put_in(&mut self.classes, (*class).into(), id));

@@ -229,8 +229,7 @@ impl WorkingMemory {
     pub fn remove_expired(&self) -> Result<usize, MemoryError> {
         let (now_ns, mut removed) = (self.now_ns(), 0);
         for (id, version) in self.core.content().expired(now_ns, MAX_EXPIRED) {
-            let removal = Commit { expected_version: Some(version), ..Commit::removal(id, now_ns) };
-            match self.commit_now(vec![removal]) {
+            match self.commit_now(vec![Commit::removal(id, now_ns).expecting(version)]) {
                 Ok(_) => removed += 1,
                 Err(MemoryError::Conflict { .. } | MemoryError::ReadOnly { .. }) => {}
                 Err(error) => return Err(error),
@@ -241,12 +240,12 @@ impl WorkingMemory {
 
     /// How many entities it holds, removed ones included.
     pub fn len(&self) -> usize {
-        self.core.content().all().entities
+        self.core.content().all.entities
     }
 
     /// The size of its snapshots, bytes, about.
     pub fn bytes(&self) -> u64 {
-        self.core.content().all().bytes
+        self.core.content().all.bytes
     }
 
     /// What each owner of provider segments takes: `OWNER/entities`, `OWNER/bytes`, and `OWNER/updates`, which is how many
@@ -261,12 +260,12 @@ impl WorkingMemory {
 
     /// When its last change arrived, ns.
     pub(crate) fn last_arrival_ns(&self) -> u64 {
-        self.core.content().last_arrival()
+        self.core.content().last_arrival
     }
 
     /// How many snapshots were inserted so far.
     pub fn updates(&self) -> u64 {
-        self.core.content().all().updates
+        self.core.content().all.updates
     }
 
     /// Whether it is empty.
@@ -279,8 +278,7 @@ impl WorkingMemory {
     /// # Errors
     /// As [`Memory::commit`].
     pub fn commit_now(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        let now = self.now_ns();
-        self.commit_sent(updates, now)
+        self.commit_sent(updates, self.now_ns())
     }
 
     /// [`Self::commit_now`] of updates that were sent at `sent_ns`.
@@ -319,8 +317,7 @@ impl WorkingMemory {
 
     /// Commits, also into read-only provider segments.
     pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        let now = self.now_ns();
-        self.commit_waiting(updates, now, true)
+        self.commit_waiting(updates, self.now_ns(), true)
     }
 
     fn commit_waiting(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
@@ -362,8 +359,7 @@ impl WorkingMemory {
         let mut next = Content::clone(&self.core.content());
         let (mut count, mut refused) = (0, None);
         for snapshot in snapshots {
-            let newest = next.newest(&snapshot.id).map_or(0, |s| s.version);
-            if snapshot.version <= newest {
+            if snapshot.version <= next.newest(&snapshot.id).map_or(0, |s| s.version) {
                 continue;
             }
             match self.core.fits(&snapshot, &next) {
@@ -429,9 +425,7 @@ impl WorkingMemory {
         self.core.content().select(&asked, &mut answer);
         answer.finish()
     }
-}
 
-impl WorkingMemory {
     /// [`Memory::subscribe`] without async.
     pub fn changes(&self, pattern: &Pattern) -> Changes {
         Changes::here(pattern.clone(), self.core.changes.subscribe())

@@ -99,13 +99,8 @@ impl Admittance {
     /// When a constant is outside its range.
     pub fn new(config: AdmittanceConfig) -> Result<Self, MotionError> {
         config.check_ranges()?;
-        Ok(Self {
-            config,
-            twist: Vector6::zeros(),
-            zero: Vector6::zeros(),
-            stiffness: StiffnessEstimate::default(),
-            shoved: None,
-        })
+        let (twist, zero) = (Vector6::zeros(), Vector6::zeros());
+        Ok(Self { config, twist, zero, stiffness: StiffnessEstimate::default(), shoved: None })
     }
 
     /// Advances by `dt` s. `wrench`: compensated force, N, and torque about the hand's reference point, N m; `position`: where

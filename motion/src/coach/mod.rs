@@ -169,7 +169,10 @@ impl CoachedMotion {
         size("weights", self.weights.len(), dmp.weights().len())?;
         let (kind, given) = match input {
             CoachInput::None => {
-                self.rest(dt);
+                self.idle += dt;
+                if self.idle > self.config.pause {
+                    self.event = None;
+                }
                 return Ok(CoachReport::default());
             }
             CoachInput::Push { force } => (InputKind::Push, force),
@@ -187,13 +190,6 @@ impl CoachedMotion {
             InputKind::Attract => self.gesture(dmp, dt, omega, given, 1.0),
             InputKind::Repel => self.gesture(dmp, dt, omega, given, -1.0),
             InputKind::Shift => self.shift(dmp, dt, given),
-        }
-    }
-
-    fn rest(&mut self, dt: f64) {
-        self.idle += dt;
-        if self.idle > self.config.pause {
-            self.event = None;
         }
     }
 

@@ -136,7 +136,7 @@ impl DiscreteDmp {
         self.dmp.set_phase(1.0);
         self.dmp.transformation.put(y, yd, TimeScale::Duration(duration));
         self.dmp.transformation.perturbation.fill(0.0);
-        self.learner.uncouple();
+        self.learner.coupled = false;
         Ok(())
     }
 

@@ -19,7 +19,7 @@ pub(crate) struct BlendedKernels {
     periodic: PhaseKernels,
     /// Centres q of (7) in the phase plane, and their widths h.
     spiral: Vec<([f64; 2], f64)>,
-    start_radius: f64,
+    pub(super) start_radius: f64,
 }
 
 impl BlendedKernels {
@@ -40,10 +40,6 @@ impl BlendedKernels {
             start_radius: phases.first().map_or(config.canonical.mu1, |(_, r)| *r),
             spiral: centres.into_iter().zip(widths).collect(),
         })
-    }
-
-    pub(super) fn start_radius(&self) -> f64 {
-        self.start_radius
     }
 
     /// Writes the kernel values at a phase, divided by their sum, to `out`: first the periodic, then the discrete

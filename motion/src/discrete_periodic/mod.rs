@@ -83,7 +83,7 @@ impl DiscretePeriodicDmp {
         within("omega", omega, 1e-9, 1e9)?;
         within("omega * duration", omega * duration, 1e-6, 1e4)?;
         let kernels = BlendedKernels::new(&config, omega, omega * duration)?;
-        let phase = (-omega * duration, kernels.start_radius());
+        let phase = (-omega * duration, kernels.start_radius);
         let zeros = || vec![0.0; config.dofs];
         Ok(Self {
             omega,
@@ -103,7 +103,7 @@ impl DiscretePeriodicDmp {
 
     /// The phase (phi, r) from which every execution starts: rad, dimensionless.
     pub fn initial_phase(&self) -> (f64, f64) {
-        (-self.omega * self.duration, self.dmp.canonical.start_radius())
+        (-self.omega * self.duration, self.dmp.canonical.start_radius)
     }
 
     /// Number of kernels of both sets together: the weights per degree of freedom.
@@ -162,7 +162,7 @@ impl DiscretePeriodicDmp {
         crate::error::size("control", self.dofs(), out.len())?;
         within("omega", omega, 0.0, MAX_MAGNITUDE)?;
         self.dmp.refresh();
-        for (o, u) in out.iter_mut().zip(self.dmp.sums[CONTROL].now()) {
+        for (o, u) in out.iter_mut().zip(&self.dmp.sums[CONTROL].now) {
             *o = u * omega / self.omega;
         }
         Ok(())

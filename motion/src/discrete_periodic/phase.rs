@@ -75,10 +75,8 @@ impl CanonicalSystem {
         (0..pieces as usize).fold(radius, |radius, _| self.midpoint(radius, turned / pieces))
     }
 
-    /// The phases (phi, r) at `count` equal steps from `turn` rad before (mu1, 0) up to it, by integrating back.
-    ///
-    /// # Errors
-    /// [`MotionError::NotFinite`] when the radius diverges.
+    /// The phases (phi, r) at `count` equal steps from `turn` rad before (mu1, 0) up to it, by integrating back;
+    /// refused when the radius diverges.
     pub(super) fn spiral(&self, turn: f64, count: usize) -> Result<Vec<(f64, f64)>, MotionError> {
         let piece = turn / (count - 1) as f64;
         let pieces = self.pieces(piece);

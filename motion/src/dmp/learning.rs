@@ -44,7 +44,7 @@ pub(crate) struct CouplingLearner {
     /// By how much a sample moves each weight: kernel value times gain times the factor of the forcing term.
     share: Vec<f64>,
     coupling: Vec<f64>,
-    coupled: bool,
+    pub(crate) coupled: bool,
     /// Weights and gain before the pending coupling is learned, to restore them if the step is refused.
     weights_before: Vec<f64>,
     gain_before: Vec<f64>,
@@ -93,11 +93,6 @@ impl CouplingLearner {
         self.coupling.copy_from_slice(coupling);
         self.coupled = true;
         Ok(())
-    }
-
-    /// Drops the pending coupling term.
-    pub(crate) fn uncouple(&mut self) {
-        self.coupled = false;
     }
 
     /// (9) for the kernel values `psi` with the factor `r` of the forcing term, in a form without division by them.

@@ -59,18 +59,13 @@ pub(crate) struct KernelSum {
     /// Degree of freedom by degree of freedom: `weights[d * kernels + i]`.
     pub(crate) weights: Vec<f64>,
     /// Its value at the present phase, and at the next one during a step.
-    now: Vec<f64>,
+    pub(crate) now: Vec<f64>,
     next: Vec<f64>,
 }
 
 impl KernelSum {
     fn new(dofs: usize, kernels: usize) -> Self {
         Self { weights: vec![0.0; dofs * kernels], now: vec![0.0; dofs], next: vec![0.0; dofs] }
-    }
-
-    /// Its value at the phase of the last step.
-    pub(crate) fn now(&self) -> &[f64] {
-        &self.now
     }
 }
 

@@ -257,8 +257,8 @@ impl AdaptiveOscillator {
     /// Fits the series to the last two periods at `omega` rad/s, with phase 0 now; returns the residual.
     fn fit_past(&mut self, omega: f64) -> f64 {
         let history = self.estimator.history();
-        let (grid, overhang) = (history.grid(), history.overhang());
-        let count = history.len().min((2.0 * TAU / self.loop_omega / grid) as usize);
+        let (grid, overhang) = (history.grid, history.overhang);
+        let count = history.len.min((2.0 * TAU / self.loop_omega / grid) as usize);
         let highest = self.config.harmonics.min((count / 6).max(1));
         let past = (0..count).map(|age| (-omega * (age as f64 * grid + overhang), history.at(age)));
         self.series.fit(highest, past)

@@ -18,14 +18,15 @@ impl PhaseKernels {
     /// `n` kernels (at least one) of `width` h, dimensionless; the papers' width is `2.5 n`.
     pub fn new(n: usize, width: f64) -> Self {
         let centre = |i: usize| TAU * i as f64 / n as f64;
-        let mut kernels = Self {
+        // The trapezoid rule converges exponentially for periodic functions.
+        let samples = 2000;
+        let value = |k: usize| libm::exp(width * (libm::cos(TAU * k as f64 / samples as f64) - 1.0));
+        Self {
             width,
             cos_centre: (0..n).map(|i| libm::cos(centre(i))).collect(),
             sin_centre: (0..n).map(|i| libm::sin(centre(i))).collect(),
-            mean: 0.0,
-        };
-        kernels.mean = kernels.mean_over_period();
-        kernels
+            mean: (0..samples).map(value).sum::<f64>() / samples as f64,
+        }
     }
 
     /// The number of kernels.
@@ -59,13 +60,6 @@ impl PhaseKernels {
             sum += value;
         }
         sum
-    }
-
-    fn mean_over_period(&self) -> f64 {
-        // The trapezoid rule converges exponentially for periodic functions.
-        let samples = 2000;
-        let value = |k: usize| libm::exp(self.width * (libm::cos(TAU * k as f64 / samples as f64) - 1.0));
-        (0..samples).map(value).sum::<f64>() / samples as f64
     }
 }
 

@@ -146,9 +146,7 @@ impl PeriodicDmp {
         self.learner.step(&mut self.dmp, dt, step)?;
         Ok(self.state())
     }
-}
 
-impl PeriodicDmp {
     /// Mutable access to the weights.
     pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
         self.dmp.weights_mut()

@@ -54,7 +54,7 @@ impl PeriodicDmp {
         let fine = 800_usize.div_ceil(samples) * samples;
         let stride = fine / samples;
         let n = self.dofs();
-        let forcing = self.forcing_over_period(fine);
+        let forcing = self.forcing_over_period(0.0, fine);
         let mut path = PeriodicPath { y: vec![vec![0.0; n]; samples], dy: vec![vec![0.0; n]; samples] };
         for d in 0..n {
             let (mut y, mut z) = self.periodic_start(&forcing, n, d);
@@ -85,10 +85,7 @@ impl PeriodicDmp {
     pub fn steady_state(&self, phase: f64) -> (Vec<f64>, Vec<f64>) {
         let n = self.dofs();
         let fine = 800;
-        let mut forcing = vec![0.0; n * (fine + 1)];
-        for (s, row) in forcing.chunks_exact_mut(n).enumerate() {
-            self.forcing_at(phase + TAU * s as f64 / fine as f64, row);
-        }
+        let forcing = self.forcing_over_period(phase, fine);
         let mut state = (self.centre().to_vec(), vec![0.0; n]);
         for d in 0..n {
             let (y, z) = self.periodic_start(&forcing, n, d);
@@ -98,12 +95,12 @@ impl PeriodicDmp {
         state
     }
 
-    /// The forcing term at `fine + 1` phases from 0 to 2 pi, row by row.
-    fn forcing_over_period(&self, fine: usize) -> Vec<f64> {
+    /// The forcing term at `fine + 1` phases of the period after `from`, row by row.
+    fn forcing_over_period(&self, from: f64, fine: usize) -> Vec<f64> {
         let n = self.dofs();
         let mut forcing = vec![0.0; n * (fine + 1)];
         for (s, row) in forcing.chunks_exact_mut(n).enumerate() {
-            self.forcing_at(TAU * s as f64 / fine as f64, row);
+            self.forcing_at(from + TAU * s as f64 / fine as f64, row);
         }
         forcing
     }

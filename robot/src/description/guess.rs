@@ -49,7 +49,7 @@ struct Guesser<'a> {
 pub(super) fn robot_file(name: &str, urdf: &str, packages: &[String], tree: &Tree) -> String {
     let guesser = Guesser::new(tree);
     let mut found = Found::default();
-    for &first in &guesser.firsts() {
+    for first in (0..tree.joints.len()).filter(|&joint| guesser.before(joint).is_none()) {
         guesser.walk(first, Vec::new(), None, &mut found);
     }
     guesser.write((name, urdf, packages), &found)
@@ -114,10 +114,6 @@ impl<'a> Guesser<'a> {
             .filter_map(|mover| self.tree.links[mover.0].motion)
             .map(|motion| motion.joint)
             .find(|&j| j != joint)
-    }
-
-    fn firsts(&self) -> Vec<usize> {
-        (0..self.tree.joints.len()).filter(|&joint| self.before(joint).is_none()).collect()
     }
 
     /// Where a link is with all joints at 0, in the root frame.
@@ -222,20 +218,15 @@ impl<'a> Guesser<'a> {
     fn side(&self, chain: &Chain) -> &'static str {
         let words = self.words(chain);
         let count = |wanted: &[&str]| wanted.iter().map(|word| words.matches(word).count()).sum::<usize>();
-        let (left, right) = (
-            count(&["left", "_l_", "_fl_", "_lh_", "_lf_"]),
-            count(&["right", "_r_", "_fr_", "_rh_", "_rf_"]),
-        );
+        let left = count(&["left", "_l_", "_fl_", "_lh_", "_lf_"]);
+        let right = count(&["right", "_r_", "_fr_", "_rh_", "_rf_"]);
         if left != right {
             return if left > right { "left" } else { "right" };
         }
-        let y = chain.joints.first().map_or(0.0, |&joint| self.at(self.tree.joints[joint].link).y);
-        if y > 0.02 {
-            "left"
-        } else if y < -0.02 {
-            "right"
-        } else {
-            ""
+        match chain.joints.first().map_or(0.0, |&joint| self.at(self.tree.joints[joint].link).y) {
+            y if y > 0.02 => "left",
+            y if y < -0.02 => "right",
+            _ => "",
         }
     }
 
@@ -277,9 +268,8 @@ impl<'a> Guesser<'a> {
         let carried = self.carried(last);
         let named = |link: &LinkId| {
             let name = self.tree.links[link.0].name.to_lowercase();
-            ["tcp", "tool", "_ee", "ee_", "effector", "grasp", "gripper", "hand", "palm"]
-                .iter()
-                .position(|word| name.contains(word))
+            let ends = ["tcp", "tool", "_ee", "ee_", "effector", "grasp", "gripper", "hand", "palm"];
+            ends.iter().position(|word| name.contains(word))
         };
         let by_name =
             carried.iter().filter_map(|link| Some((named(link)?, *link))).min_by_key(|(rank, _)| *rank);
@@ -310,12 +300,8 @@ impl<'a> Guesser<'a> {
             .collect();
         limbs.sort_by_key(|(name, _, _, leg)| (*leg, !name.starts_with("right")));
         for i in 1..limbs.len() {
-            let same = limbs[..i]
-                .iter()
-                .filter(|(name, ..)| {
-                    name.trim_end_matches(|c: char| c.is_ascii_digit() || c == '_') == limbs[i].0
-                })
-                .count();
+            let (named, number) = (&limbs[i].0, |c: char| c.is_ascii_digit() || c == '_');
+            let same = limbs[..i].iter().filter(|limb| limb.0.trim_end_matches(number) == *named).count();
             if same > 0 {
                 limbs[i].0 = format!("{}_{}", limbs[i].0, same + 1);
             }
@@ -330,37 +316,25 @@ impl<'a> Guesser<'a> {
             let _ = writeln!(text, "\ngroups:");
         }
         for (i, trunk) in found.trunks.iter().enumerate() {
-            let _ = writeln!(
-                text,
-                "  {}: {{joints: [{}]}}   # guessed: several limbs hang on it",
-                trunk_name(i),
-                self.names(trunk)
-            );
+            let (name, joints) = (trunk_name(i), self.names(trunk));
+            let _ = writeln!(text, "  {name}: {{joints: [{joints}]}}   # guessed: several limbs hang on it");
         }
         for (name, chain, trunk, leg) in &limbs {
-            let ends = [chain.joints.first(), chain.joints.last()]
+            let [first, last] = [chain.joints.first(), chain.joints.last()]
                 .map(|j| j.map_or_else(String::new, |&j| self.names(&[j])));
+            let count = chain.joints.len();
             let _ = write!(
                 text,
-                "  {name}:\n    chain: [{}, {}]   # guessed: a chain of {} joints",
-                ends[0],
-                ends[1],
-                chain.joints.len()
+                "  {name}:\n    chain: [{first}, {last}]   # guessed: a chain of {count} joints"
             );
             let tip = self.tip(chain).filter(|_| !leg);
             if let Some(tip) = tip {
-                let _ = write!(
-                    text,
-                    "\n    tcp: {}   # guessed: the frame at its end",
-                    quoted(&self.tree.links[tip.0].name)
-                );
+                let frame = quoted(&self.tree.links[tip.0].name);
+                let _ = write!(text, "\n    tcp: {frame}   # guessed: the frame at its end");
             }
             if !chain.beyond.is_empty() && !leg {
-                let _ = write!(
-                    text,
-                    "\n    hand: {}   # guessed: what moves beyond it",
-                    name.replace("arm", "hand")
-                );
+                let hand = name.replace("arm", "hand");
+                let _ = write!(text, "\n    hand: {hand}   # guessed: what moves beyond it");
             }
             if let (Some(trunk), false) = (trunk, leg) {
                 let _ = write!(text, "\n    helped_by: [{}]   # guessed", trunk_name(*trunk));
@@ -371,11 +345,8 @@ impl<'a> Guesser<'a> {
             let _ = writeln!(text, "  head: {{joints: [{}]}}   # guessed: by names", self.names(&heads));
         }
         if !rest.is_empty() {
-            let _ = writeln!(
-                text,
-                "  others: {{joints: [{}]}}   # guessed: what is in no other group",
-                self.names(&rest)
-            );
+            let rest = self.names(&rest);
+            let _ = writeln!(text, "  others: {{joints: [{rest}]}}   # guessed: what is in no other group");
         }
         self.write_home(limbs.iter().flat_map(|(_, chain, ..)| chain.joints.iter().copied()), &mut text);
         let hands: Vec<_> =
@@ -384,12 +355,11 @@ impl<'a> Guesser<'a> {
             let _ = writeln!(text, "\nhands:");
         }
         for (name, chain, ..) in hands {
+            let (hand, joints) = (name.replace("arm", "hand"), self.names(&chain.beyond));
             let _ = writeln!(
                 text,
-                "  {}:\n    joints: [{}]   # guessed; open is at their upper limits, closed at their lower\n    \
-                 grasp_in_tcp: {{position: [0, 0, 0]}}   # guessed: at the TCP, x along the approach",
-                name.replace("arm", "hand"),
-                self.names(&chain.beyond)
+                "  {hand}:\n    joints: [{joints}]   # guessed; open is at their upper limits, closed at their lower\n    \
+                 grasp_in_tcp: {{position: [0, 0, 0]}}   # guessed: at the TCP, x along the approach"
             );
         }
         text

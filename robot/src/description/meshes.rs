@@ -105,11 +105,8 @@ pub(super) fn read(bytes: &[u8], path: &Path, scale: &Vector3<f64>) -> Option<Me
             Point3::from(point.component_mul(scale))
         }));
         for face in mesh.faces {
-            triangles.push([
-                first.checked_add(face[0])?,
-                first.checked_add(face[1])?,
-                first.checked_add(face[2])?,
-            ]);
+            let at = |corner: usize| first.checked_add(face[corner]);
+            triangles.push([at(0)?, at(1)?, at(2)?]);
         }
     }
     if triangles.len() > MAX_TRIANGLES {

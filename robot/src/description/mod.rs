@@ -88,10 +88,8 @@ fn is_description(path: &Path) -> bool {
 /// Everything that is wrong with the files, in the order of their texts.
 pub fn load(path: &Path, packages: &[PathBuf]) -> Result<Description, Vec<Finding>> {
     let source = if is_description(path) {
-        Arc::new(Source::new(
-            path.with_extension("yaml"),
-            guessed(path, None, path.parent().unwrap_or(Path::new("")), packages)?,
-        ))
+        let text = guessed(path, None, path.parent().unwrap_or(Path::new("")), packages)?;
+        Arc::new(Source::new(path.with_extension("yaml"), text))
     } else {
         Source::read(path).map_err(|finding| vec![*finding])?
     };
@@ -114,15 +112,11 @@ pub fn guessed(
     let tree = tree.ok_or(findings)?;
     let name = urdf.file_stem().unwrap_or_default().to_string_lossy();
     let packages: Vec<String> = packages.iter().map(|folder| seen_from(folder, beside)).collect();
-    if let Some(srdf) = semantics {
-        return Ok(guess::with_semantics(
-            &name,
-            &seen_from(urdf, beside),
-            &seen_from(srdf, beside),
-            &packages,
-        ));
-    }
-    Ok(guess::robot_file(&name, &seen_from(urdf, beside), &packages, &tree))
+    let urdf = seen_from(urdf, beside);
+    Ok(match semantics {
+        Some(srdf) => guess::with_semantics(&name, &urdf, &seen_from(srdf, beside), &packages),
+        None => guess::robot_file(&name, &urdf, &packages, &tree),
+    })
 }
 
 #[cfg(test)]

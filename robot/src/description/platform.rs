@@ -29,12 +29,9 @@ pub(super) fn put_on(tree: &mut Tree, platform: &PlatformFile) -> Platform {
     let axes = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()];
     let kinds = [JointKind::Prismatic, JointKind::Prismatic, JointKind::Revolute];
     // The first link stands; each joint moves the next one, the last joint what was the root.
-    let motion = |joint: usize| JointMotion {
-        joint,
-        kind: kinds[joint],
-        axis: axes[joint],
-        multiplier: 1.0,
-        offset: 0.0,
+    let motion = |joint: usize| {
+        let (kind, axis) = (kinds[joint], axes[joint]);
+        JointMotion { joint, kind, axis, multiplier: 1.0, offset: 0.0 }
     };
     let link = |index: usize| Link {
         name: LINKS[index].to_owned(),

@@ -178,12 +178,8 @@ impl Resolver<'_> {
         let Some(begin) = joints.iter().position(|joint| *joint == first_joint) else {
             let at = self.at(path);
             let message = format!("the joint `{first}` is not between the root and `{last}`");
-            self.findings.error_help(
-                code::VALUE,
-                at,
-                message,
-                Some("the first joint is the one nearer to the root".into()),
-            );
+            let help = Some("the first joint is the one nearer to the root".into());
+            self.findings.error_help(code::VALUE, at, message, help);
             return Vec::new();
         };
         joints.split_off(begin)
@@ -281,14 +277,9 @@ impl Resolver<'_> {
             let needed = if slides { "slides: a length is needed" } else { "turns: an angle is needed" };
             self.findings.error(code::UNIT, at, format!("the joint `{}` {needed}", joint.name));
         } else if !(joint.lower..=joint.upper).contains(&position.value) {
-            let (name, value) = (&joint.name, position.value);
+            let (name, value, unit) = (&joint.name, position.value, if slides { "m" } else { "rad" });
             let message = format!("{value} is beyond the limits of the joint `{name}`");
-            let help = format!(
-                "it goes from {} to {} {}",
-                joint.lower,
-                joint.upper,
-                if slides { "m" } else { "rad" }
-            );
+            let help = format!("it goes from {} to {} {unit}", joint.lower, joint.upper);
             self.findings.error_help(code::VALUE, at, message, Some(help));
         }
         position.value
@@ -410,8 +401,6 @@ impl Resolver<'_> {
 
 fn pose(file: &PoseFile) -> Isometry3<f64> {
     let [roll, pitch, yaw] = file.rpy_deg.map(f64::to_radians);
-    Isometry3::from_parts(
-        Vector3::from(file.position).into(),
-        UnitQuaternion::from_euler_angles(roll, pitch, yaw),
-    )
+    let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+    Isometry3::from_parts(Vector3::from(file.position).into(), rotation)
 }

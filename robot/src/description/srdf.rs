@@ -130,11 +130,8 @@ impl<'a> SrdfReader<'a, '_> {
                     let ends =
                         ["base_link", "tip_link"].map(|end| self.tree.link_ids.get(named(end)).copied());
                     let [Some(base), Some(last)] = ends else {
-                        let message = format!(
-                            "the chain from `{}` to `{}` is not there",
-                            named("base_link"),
-                            named("tip_link")
-                        );
+                        let (base, tip) = (named("base_link"), named("tip_link"));
+                        let message = format!("the chain from `{base}` to `{tip}` is not there");
                         self.findings.error(code::REFERENCE, span(member), message);
                         continue;
                     };
@@ -186,11 +183,8 @@ impl<'a> SrdfReader<'a, '_> {
             let Some(index) = self.tree.joint_ids.get(name) else { continue };
             let value = joint.attribute("value").and_then(|value| value.trim().parse::<f64>().ok());
             let Some(value) = value.filter(|value| value.is_finite()) else {
-                self.findings.error(
-                    code::VALUE,
-                    span(joint),
-                    format!("the joint `{name}` has no single number here"),
-                );
+                let message = format!("the joint `{name}` has no single number here");
+                self.findings.error(code::VALUE, span(joint), message);
                 continue;
             };
             let limits = &self.tree.joints[*index];

@@ -186,11 +186,8 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
             for (end, which) in ends.iter_mut().zip(["parent", "child"]) {
                 let link = child(joint, which).and_then(|end| end.attribute("link"));
                 let Some(link) = link else {
-                    return self.refuse(
-                        code::MISSING_KEY,
-                        joint,
-                        format!("joint `{name}` names no {which} link"),
-                    );
+                    let message = format!("joint `{name}` names no {which} link");
+                    return self.refuse(code::MISSING_KEY, joint, message);
                 };
                 if !self.links.contains_key(link) {
                     let message = format!("joint `{name}` names the link `{link}`, which is missing");
@@ -199,11 +196,8 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
                 *end = link;
             }
             if parent_of.insert(ends[1], name).is_some() {
-                return self.refuse(
-                    code::DUPLICATE,
-                    joint,
-                    format!("the link `{}` has two parents", ends[1]),
-                );
+                let message = format!("the link `{}` has two parents", ends[1]);
+                return self.refuse(code::DUPLICATE, joint, message);
             }
             self.below.entry(ends[0]).or_default().push(joint);
         }
@@ -275,13 +269,8 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
                 followers.push((id, joint));
             }
             // A follower's own position comes with its leader, see `follow`.
-            motion = Some(JointMotion {
-                joint: self.tree.joints.len(),
-                kind: read.kind,
-                axis: read.axis,
-                multiplier: 1.0,
-                offset: 0.0,
-            });
+            let (number, kind, axis) = (self.tree.joints.len(), read.kind, read.axis);
+            motion = Some(JointMotion { joint: number, kind, axis, multiplier: 1.0, offset: 0.0 });
             if child(joint, "mimic").is_none() {
                 self.tree.joint_ids.insert(read.name.clone(), self.tree.joints.len());
                 self.tree.joints.push(read);
@@ -319,20 +308,14 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
                 return Some(None);
             }
             Some("floating" | "planar") => {
-                self.assume(
-                    "floating and planar joints are not driven; what they carry stands still",
-                    joint,
-                    &name,
-                );
+                let what = "floating and planar joints are not driven; what they carry stands still";
+                self.assume(what, joint, &name);
                 return Some(None);
             }
             other => {
                 let other = other.unwrap_or("none");
-                return self.refuse(
-                    code::VALUE,
-                    joint,
-                    format!("joint `{name}` is of the type `{other}`, which is not known"),
-                );
+                let message = format!("joint `{name}` is of the type `{other}`, which is not known");
+                return self.refuse(code::VALUE, joint, message);
             }
         };
         let axis = match child(joint, "axis") {
@@ -542,11 +525,8 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
         if sizes.iter().all(|s| *s > 0.0) {
             return Some(Some(shape));
         }
-        self.refuse(
-            code::VALUE,
-            geometry,
-            format!("a shape of {} has a size that is not a length", called(of)),
-        )
+        let message = format!("a shape of {} has a size that is not a length", called(of));
+        self.refuse(code::VALUE, geometry, message)
     }
 
     #[expect(clippy::option_option, reason = "an error, no mass, a mass")]

@@ -211,11 +211,8 @@ impl RemoteDriver {
         if let Some((_, before_ns)) = self.last
             && sample.stamp_ns <= before_ns
         {
-            return Err(DriverError::Clock {
-                driver: self.name.clone(),
-                before_ns,
-                after_ns: sample.stamp_ns,
-            });
+            let (driver, after_ns) = (self.name.clone(), sample.stamp_ns);
+            return Err(DriverError::Clock { driver, before_ns, after_ns });
         }
         self.last = Some((sample.number, sample.stamp_ns));
         let WireSample { stamp_ns, braked, position, velocity, wrenches, bodies, .. } = sample;

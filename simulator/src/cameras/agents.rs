@@ -30,15 +30,11 @@ impl AgentEyes {
         seed: u64,
     ) -> Self {
         let scene_from_left = agent.root_from_left(calibration.baseline);
+        let noise = SensorNoise::new(spec.noise, seed);
+        let rng = ChaCha8Rng::seed_from_u64(seed);
         Self {
             name: agent.name.clone(),
-            rig: StereoRig::new(
-                &agent.name,
-                calibration,
-                spec,
-                (agent.rate, SensorNoise::new(spec.noise, seed)),
-                ChaCha8Rng::seed_from_u64(seed),
-            ),
+            rig: StereoRig::new(&agent.name, calibration, spec, (agent.rate, noise), rng),
             scene_from_left,
             agent_from_left: agent.root_from_agent().inverse() * scene_from_left,
         }

@@ -129,11 +129,8 @@ impl Drawing {
     }
 
     pub(crate) fn shapes(&self) -> SceneShapes {
-        let table = Shape {
-            geometry: VisibleForm::Box { half: self.table_half },
-            scene_from_shape: self.table_pose,
-            color: self.table_color,
-        };
+        let table = VisibleForm::Box { half: self.table_half };
+        let table = Shape::new(table, self.table_pose, self.table_color);
         let own = |parts: &Vec<Visual>| link_shapes(parts, &Isometry3::identity());
         SceneShapes {
             fixed: self.fixed.iter().cloned().chain([table]).collect(),
@@ -214,15 +211,9 @@ impl Drawing {
             shapes.extend(robot_shapes(kinematics, scene_from_root));
         }
         shapes.extend(self.fixed.iter().cloned());
-        shapes.push(Shape {
-            geometry: VisibleForm::Tabletop {
-                half: self.table_half,
-                bumps: Arc::clone(&self.bumps),
-                dirt: Some(Arc::clone(&self.dirt)),
-            },
-            scene_from_shape: self.table_pose,
-            color: self.table_color,
-        });
+        let (bumps, dirt) = (Arc::clone(&self.bumps), Some(Arc::clone(&self.dirt)));
+        let table = VisibleForm::Tabletop { half: self.table_half, bumps, dirt };
+        shapes.push(Shape::new(table, self.table_pose, self.table_color));
         for (parts, pose) in self.objects.iter().zip(places.objects) {
             shapes.extend(link_shapes(parts, pose));
         }
@@ -260,21 +251,15 @@ fn legs(table: &TableTop) -> Vec<Shape> {
         let corner = Point3::new(sx * (hx - 0.05), sy * (hy - 0.05), -THICKNESS);
         let top = table.root_from_top() * corner;
         let half_length = (top.z / 2.0).max(0.01);
-        legs.push(Shape {
-            geometry: VisibleForm::Cylinder { radius: 0.02, half_length },
-            scene_from_shape: Isometry3::translation(top.x, top.y, half_length),
-            color: [90, 90, 94],
-        });
+        let pose = Isometry3::translation(top.x, top.y, half_length);
+        legs.push(Shape::new(VisibleForm::Cylinder { radius: 0.02, half_length }, pose, [90, 90, 94]));
     }
     legs
 }
 
 fn board(cover: &CoverSpec) -> Shape {
-    Shape {
-        geometry: VisibleForm::Box { half: Vector3::from(cover.size) / 2.0 },
-        scene_from_shape: cover.root_from_cover(),
-        color: cover.color,
-    }
+    let half = Vector3::from(cover.size) / 2.0;
+    Shape::new(VisibleForm::Box { half }, cover.root_from_cover(), cover.color)
 }
 
 /// The coach's block on a grey stick.
@@ -282,14 +267,9 @@ fn tool(pose: &Isometry3<f64>, color: [u8; 3]) -> [Shape; 2] {
     let along = Vector3::new(0.0, 0.6, 0.8);
     let turn = UnitQuaternion::rotation_between(&Vector3::z(), &along).unwrap_or_default();
     let stick = Isometry3::from_parts((along * 0.13).into(), turn);
-    [
-        Shape { geometry: VisibleForm::Box { half: TOOL_HALF }, scene_from_shape: *pose, color },
-        Shape {
-            geometry: VisibleForm::Cylinder { radius: 0.008, half_length: 0.12 },
-            scene_from_shape: pose * stick,
-            color: [72, 72, 78],
-        },
-    ]
+    let rod = VisibleForm::Cylinder { radius: 0.008, half_length: 0.12 };
+    let block = Shape::new(VisibleForm::Box { half: TOOL_HALF }, *pose, color);
+    [block, Shape::new(rod, pose * stick, [72, 72, 78])]
 }
 
 /// Dirt around the workspace: spots of random strength, determined by the seed.

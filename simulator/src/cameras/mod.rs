@@ -280,12 +280,9 @@ impl Eyes {
     pub(crate) fn new(world: &World, robot: usize, start: &RobotStart, seed: u64) -> Self {
         let model = &start.model;
         let spec = &world.camera;
-        let camera = PinholeCamera {
-            width: spec.width,
-            height: spec.height,
-            focal: spec.focal,
-            center: [f64::from(spec.width) / 2.0, f64::from(spec.height) / 2.0],
-        };
+        let (width, height, focal) = (spec.width, spec.height, spec.focal);
+        let center = [f64::from(width) / 2.0, f64::from(height) / 2.0];
+        let camera = PinholeCamera { width, height, focal, center };
         let calibration = StereoCalibration { camera, baseline: spec.baseline };
         let noise = SensorNoise::new(spec.noise, seed ^ (robot as u64).rotate_left(48));
         let error = &spec.mounting_error;

@@ -94,10 +94,7 @@ fn add_soft_box(
 /// A body whose parts are all of one density.
 fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &BodySpec) -> Object {
     let fixed = spec.motion == BodyMotion::Static;
-    let body = match fixed {
-        true => rapier::RigidBodyBuilder::fixed(),
-        false => rapier::RigidBodyBuilder::dynamic(),
-    };
+    let body = if fixed { rapier::RigidBodyBuilder::fixed() } else { rapier::RigidBodyBuilder::dynamic() };
     let (all, handles) = (spec.parts(), spec.handle_parts().len());
     let plain = all.len() - handles;
     let form = |(i, part): (usize, &Visual)| {

@@ -125,10 +125,9 @@ impl PersonBodies {
             };
             let arm = &mut arms[lead.arm];
             let tcp = arm.hand.moving(&physics.bodies);
-            let (at, speed) = {
-                let own = &physics.bodies[self.hands[side]];
-                (Point3::from(convert::to_vector(own.translation())), convert::to_vector(own.linvel()))
-            };
+            let own = &physics.bodies[self.hands[side]];
+            let (at, speed) =
+                (Point3::from(convert::to_vector(own.translation())), convert::to_vector(own.linvel()));
             let grip = *self.grips[side].get_or_insert_with(|| PersonGrip {
                 tcp_from_hand: tcp.pose.inverse() * at,
                 room_from_tcp: tcp.pose.rotation,
@@ -144,13 +143,8 @@ impl PersonBodies {
             palm.add_torque(convert::vector(&turning), true);
             physics.bodies[self.hands[side]].add_force(convert::vector(&-force), true);
             let lever = place.coords - tcp.pose.translation.vector;
-            arm.led = Some(LedHand {
-                arm: lead.arm,
-                tcp: tcp.pose,
-                force,
-                torque: turning + lever.cross(&force),
-                behind: self.wants.hands[side] - at,
-            });
+            let (torque, behind) = (turning + lever.cross(&force), self.wants.hands[side] - at);
+            arm.led = Some(LedHand { arm: lead.arm, tcp: tcp.pose, force, torque, behind });
         }
     }
 

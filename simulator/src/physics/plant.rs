@@ -347,13 +347,8 @@ impl Plant {
                 hand.rest_grip();
                 continue;
             }
-            let others: Vec<usize> = held
-                .iter()
-                .enumerate()
-                .filter(|(k, _)| *k != n)
-                .filter_map(|(_, (.., held))| *held)
-                .filter(|held| !self.objects[*held].has_handles)
-                .collect();
+            let others = held.iter().enumerate().filter(|(k, _)| *k != n).filter_map(|(_, (.., held))| *held);
+            let others: Vec<usize> = others.filter(|held| !self.objects[*held].has_handles).collect();
             hand.step_grip(&self.physics, &self.objects, momenta, outside, &others);
             let after = hand.grip.held();
             if before == after {

@@ -121,6 +121,7 @@ impl PlantRobot {
         let parts = add_robot(physics, &model, &assembly, (&room_from_root, &errors), (&start, &still))?;
         let arm = |limb: &&Limb| {
             let hand = Hand::new(&model, limb, (&assembly, &parts), objects)?;
+            let targets = own(limb).iter().map(|&joint| start[joint]).collect();
             Some(ArmWithHand {
                 joints: own(limb),
                 sensor: limb.wrench,
@@ -130,12 +131,7 @@ impl PlantRobot {
                 pad: None,
                 led: None,
                 // The first set points are where the joints are sensed to be.
-                rest: Rest {
-                    asleep: true,
-                    steps: 0,
-                    targets: own(limb).iter().map(|&joint| start[joint]).collect(),
-                    tolerance: FIRST_TARGET,
-                },
+                rest: Rest { asleep: true, steps: 0, targets, tolerance: FIRST_TARGET },
             })
         };
         let working = limbs.iter().position(|arm| arm.name == works);

@@ -276,18 +276,9 @@ fn asks(own: &Value) -> Vec<Figure> {
         figures.push(of("weighed wrong by", ("mass_error", 100.0), ("%", 1), Between(-5.0, 5.0)));
     }
     if own.get("sloshed_deg").is_some() {
-        figures.push(of(
-            "spilled: angle of what it holds",
-            ("sloshed_deg", 1.0),
-            ("°", 1),
-            AtMost(SPILLED_DEG),
-        ));
-        figures.push(of(
-            "spilled: moved on the load",
-            ("upon_moved_m", 1e3),
-            ("mm", 1),
-            AtMost(SPILLED_M * 1e3),
-        ));
+        let (angle, way) = (AtMost(SPILLED_DEG), AtMost(SPILLED_M * 1e3));
+        figures.push(of("spilled: angle of what it holds", ("sloshed_deg", 1.0), ("°", 1), angle));
+        figures.push(of("spilled: moved on the load", ("upon_moved_m", 1e3), ("mm", 1), way));
     }
     if own.get("put_down_n").is_some() {
         figures.push(of("put down with, over the weight", ("put_down_n", 1.0), ("N", 1), AtMost(15.0)));

@@ -153,11 +153,7 @@ fn faces(run: &Run<'_>, pick: impl Fn((Isometry3<f64>, Isometry3<f64>)) -> Isome
     let (middle, half) = ((room.lower + room.upper) / 2.0, (room.upper - room.lower) / 2.0);
     // A room is seen from inside.
     let inside = faces_of("room", &Isometry3::from_parts(middle.into(), UnitQuaternion::identity()), &-half);
-    faces.extend(inside.into_iter().map(|face| Face {
-        half: face.half.map(f64::abs),
-        is_top: false,
-        ..face
-    }));
+    faces.extend(inside.into_iter().map(|f| Face { half: f.half.map(f64::abs), is_top: false, ..f }));
     faces
 }
 
@@ -314,20 +310,17 @@ fn asks(own: &Value) -> Vec<Figure> {
 }
 
 fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
-    let tops = table_of(
-        &own["tops"],
-        &["Top of", "Known as", "#Looked at for", "#Height off by", "#Tilt off by"],
-        |top| {
-            let text = |key: &str| Cell::Text(top[key].as_str().unwrap_or("-").to_owned());
-            vec![
-                text("name"),
-                text("known_as"),
-                cell(top, ("looked_at_s", 1.0), "s", 1),
-                cell(top, ("height_error_m", 1e3), "mm", 1),
-                cell(top, ("tilt_error_deg", 1.0), "°", 2),
-            ]
-        },
-    );
+    let titles = ["Top of", "Known as", "#Looked at for", "#Height off by", "#Tilt off by"];
+    let tops = table_of(&own["tops"], &titles, |top| {
+        let text = |key: &str| Cell::Text(top[key].as_str().unwrap_or("-").to_owned());
+        vec![
+            text("name"),
+            text("known_as"),
+            cell(top, ("looked_at_s", 1.0), "s", 1),
+            cell(top, ("height_error_m", 1e3), "mm", 1),
+            cell(top, ("tilt_error_deg", 1.0), "°", 2),
+        ]
+    });
     let note = "What memory knows at the end of the tops of furniture, against where they are; `looked at` counts the time in which the middle was in view.";
     if own.is_null() {
         return Vec::new();

@@ -101,15 +101,11 @@ fn ages(run: &Run<'_>) -> (u64, u64) {
 
 fn asks(own: &Value) -> Vec<Figure> {
     let of = |name, key, unit, requirement| figure(("Gaze", name), own, key, unit, requirement);
+    let old = AtMost(OLD_SHARE * 1e2);
     vec![
         of("error when a hand sets out, mean", ("mean_error_m", 1e3), ("mm", 1), Shown),
         of("error when a hand sets out, worst", ("worst_error_m", 1e3), ("mm", 1), Shown),
-        of(
-            "time in which a needed thing was older than 1 s",
-            ("old_share", 1e2),
-            ("%", 1),
-            AtMost(OLD_SHARE * 1e2),
-        ),
+        of("time in which a needed thing was older than 1 s", ("old_share", 1e2), ("%", 1), old),
     ]
 }
 
@@ -118,9 +114,8 @@ fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
         return Vec::new();
     }
     let table = table_of(&own["grasps"], &["thing", "at", "error", "seen before"], |grasp| {
-        let name = Cell::Code(grasp["thing"].as_str().unwrap_or_default().to_owned());
         vec![
-            name,
+            Cell::Code(grasp["thing"].as_str().unwrap_or_default().to_owned()),
             cell(grasp, ("at_s", 1.0), "s", 1),
             cell(grasp, ("error_m", 1e3), "mm", 1),
             cell(grasp, ("age_s", 1.0), "s", 2),

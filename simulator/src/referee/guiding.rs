@@ -144,12 +144,8 @@ fn played(run: &Run<'_>) -> Option<f64> {
         let step = (pair[1].1.tcp.translation.vector - pair[0].1.tcp.translation.vector).norm();
         step > MOVING * seconds(pair[1].0 - pair[0].0)
     };
-    let led: Vec<Vector3<f64>> = led
-        .windows(2)
-        .filter(|pair| moving(pair))
-        .step_by(STRIDE)
-        .map(|pair| pair[0].1.tcp.translation.vector)
-        .collect();
+    let led = led.windows(2).filter(|pair| moving(pair)).step_by(STRIDE);
+    let led: Vec<Vector3<f64>> = led.map(|pair| pair[0].1.tcp.translation.vector).collect();
     let records = run.log.between(from, to).iter().step_by(STRIDE);
     let played: Vec<Vector3<f64>> = records.map(|record| record.tcp.translation.vector).collect();
     if led.is_empty() || played.is_empty() {
@@ -271,14 +267,11 @@ fn section(run: &Run<'_>, own: &Value) -> Vec<Section> {
         t_s: led.iter().map(|(at, _)| seconds(*at)).collect(),
         y: led.iter().map(|(_, hand)| hand.force.norm()).collect(),
     });
+    let place = |(_, hand): &(u64, LedHand)| [hand.tcp.translation.x, hand.tcp.translation.y];
     let paths = leads.iter().enumerate().map(|(i, led)| Path {
         label: name(i, led),
         style: PathStyle::Line,
-        points: led
-            .iter()
-            .step_by(STRIDE)
-            .map(|(_, hand)| [hand.tcp.translation.x, hand.tcp.translation.y])
-            .collect(),
+        points: led.iter().step_by(STRIDE).map(place).collect(),
     });
     let plot = TimePlot {
         title: "Force of the person on the hand".into(),

@@ -131,13 +131,9 @@ fn asks(own: &Value) -> Vec<Figure> {
     let of = |name, key, unit, requirement| figure(("Learning together", name), own, key, unit, requirement);
     let goes_on = own["epochs_before"].as_u64().is_some_and(|before| before > 0);
     let falls = if goes_on || things(&own["epochs"]).len() < EPOCHS { Shown } else { AtLeast(FALLS) };
+    let begins = if goes_on { AtMost(BEGINS_MM) } else { Shown };
     vec![
-        of(
-            "distance error, first epoch",
-            ("first_rms_m", 1e3),
-            ("mm", 2),
-            if goes_on { AtMost(BEGINS_MM) } else { Shown },
-        ),
+        of("distance error, first epoch", ("first_rms_m", 1e3), ("mm", 2), begins),
         of("distance error, last epoch", ("last_rms_m", 1e3), ("mm", 2), Shown),
         of("it fell by", ("distance_fell", 1.0), ("", 1), falls),
         of("in the discrete part by", ("discrete_fell", 1.0), ("", 1), falls),
@@ -152,12 +148,10 @@ fn asks(own: &Value) -> Vec<Figure> {
 fn section(run: &Run<'_>, own: &Value) -> Vec<Section> {
     let epochs = epochs(run);
     let (Some(first), Some(last)) = (epochs.first(), epochs.last()) else { return Vec::new() };
+    let ended = |epoch: &Value| Some(epoch["from_s"].as_f64()? + epoch["for_s"].as_f64()?);
     let each = |label: &str, key: &str| Series {
         label: label.into(),
-        t_s: things(&own["epochs"])
-            .iter()
-            .filter_map(|epoch| Some(epoch["from_s"].as_f64()? + epoch["for_s"].as_f64()?))
-            .collect(),
+        t_s: things(&own["epochs"]).iter().filter_map(ended).collect(),
         y: things(&own["epochs"]).iter().filter_map(|epoch| Some(1e3 * epoch[key].as_f64()?)).collect(),
     };
     let falls = TimePlot {
@@ -212,11 +206,8 @@ fn heights(run: &Run<'_>, title: &str, epoch: &Epoch) -> TimePlot {
         let begin = all.first().map_or(0.0, |(_, load, _)| load.hands[hand].at.z);
         drawn().map(|(_, load, _)| 1e3 * (load.hands[hand].at.z - begin)).collect()
     };
-    let series = |label: &str, y| Series {
-        label: label.into(),
-        t_s: drawn().map(|(at, ..)| seconds(*at)).collect(),
-        y,
-    };
+    let t_s = || drawn().map(|(at, ..)| seconds(*at)).collect::<Vec<_>>();
+    let series = |label: &str, y| Series { label: label.into(), t_s: t_s(), y };
     TimePlot {
         title: title.into(),
         y_label: "Height over the beginning, mm".into(),

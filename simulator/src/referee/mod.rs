@@ -31,6 +31,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::report::Section;
+use log::MAX_FRAMES;
 pub use log::{KnownHypothesis, KnownSurface, KnownThing, KnownTouch, Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
 pub use probes::judged_figures;
@@ -172,6 +173,13 @@ pub fn measure(
     probes::measure(&Run::new(world, log, marks, seen))
 }
 
+/// Adds to a list that must not grow without end.
+fn note<T>(list: &mut Vec<T>, most: usize, new: T) {
+    if list.len() < most {
+        list.push(new);
+    }
+}
+
 impl Referee {
     /// The referee of a world.
     pub fn new(world: &World) -> Self {
@@ -186,51 +194,33 @@ impl Referee {
 
     /// Records a mark of the program at `stamp_ns` of the robot's time.
     pub fn mark(&self, mark: Milestone, stamp_ns: u64) {
-        let mut notes = self.notes();
-        if notes.marks.len() < 10_000 {
-            notes.marks.push((stamp_ns, mark));
-        }
+        note(&mut self.notes().marks, 10_000, (stamp_ns, mark));
     }
 
     /// Records what the program's vision recognised in the frame of `stamp_ns`: `fist`, `point_one`, `point_two`,
     /// `open_hand`, or `None` for no hand. To be called for every frame that was processed.
     pub fn gesture_seen(&self, stamp_ns: u64, label: Option<&str>) {
-        let mut notes = self.notes();
-        if notes.seen.len() < log::MAX_FRAMES {
-            notes.seen.push((stamp_ns, label.map(str::to_owned)));
-        }
+        note(&mut self.notes().seen, MAX_FRAMES, (stamp_ns, label.map(str::to_owned)));
     }
 
     /// Records what the robot's memory tells of a surface around it at `stamp_ns`: its name, and `None` when it is no longer known.
     pub fn surface_known(&self, stamp_ns: u64, name: &str, known: Option<KnownSurface>) {
-        let mut notes = self.notes();
-        if notes.log.surfaces.len() < log::MAX_FRAMES {
-            notes.log.surfaces.push((stamp_ns, name.to_owned(), known));
-        }
+        note(&mut self.notes().log.surfaces, MAX_FRAMES, (stamp_ns, name.to_owned(), known));
     }
 
     /// Records what the robot's memory knows of a thing from `stamp_ns` on, by the thing's name.
     pub fn thing_known(&self, stamp_ns: u64, name: &str, known: KnownThing) {
-        let mut notes = self.notes();
-        if notes.log.things.len() < log::MAX_FRAMES {
-            notes.log.things.push((stamp_ns, name.to_owned(), known));
-        }
+        note(&mut self.notes().log.things, MAX_FRAMES, (stamp_ns, name.to_owned(), known));
     }
 
     /// Records what the robot's memory takes for one thing in the picture of `stamp_ns`, by its name there; `None` when it was dropped.
     pub fn hypothesis_known(&self, stamp_ns: u64, name: &str, known: Option<KnownHypothesis>) {
-        let mut notes = self.notes();
-        if notes.log.hypotheses.len() < log::MAX_FRAMES {
-            notes.log.hypotheses.push((stamp_ns, name.to_owned(), known));
-        }
+        note(&mut self.notes().log.hypotheses, MAX_FRAMES, (stamp_ns, name.to_owned(), known));
     }
 
     /// Records that the robot's memory was told of a touch at `stamp_ns`.
     pub fn touch_known(&self, stamp_ns: u64, known: KnownTouch) {
-        let mut notes = self.notes();
-        if notes.log.touches.len() < log::MAX_FRAMES {
-            notes.log.touches.push((stamp_ns, known));
-        }
+        note(&mut self.notes().log.touches, MAX_FRAMES, (stamp_ns, known));
     }
 
     /// Records that a skill's activation needs to know the place of a thing in memory from `stamp_ns` on.

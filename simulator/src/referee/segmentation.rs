@@ -182,10 +182,8 @@ fn shown(run: &Run<'_>, frame: &FrameTruth) -> Vec<Option<usize>> {
     nearest.into_iter().map(|(_, body)| body).collect()
 }
 
-/// For each row of gains its column, each column at most once, so that the sum of the gains is the largest.
-///
-/// # Source
-/// Kuhn 1955 and Munkres 1957, in the form with potentials and shortest augmenting paths (Jonker, Volgenant 1987).
+/// For each row of gains its column, each column at most once, so that the sum of the gains is the largest (Kuhn 1955 and Munkres
+/// 1957, in the form with potentials and shortest augmenting paths of Jonker and Volgenant 1987).
 fn best_assignment(gains: &[Vec<f64>], columns: usize) -> Vec<Option<usize>> {
     let size = gains.len().max(columns);
     let cost = |i: usize, j: usize| -gains.get(i).and_then(|row| row.get(j)).copied().unwrap_or(0.0);
@@ -250,21 +248,18 @@ fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }
-    let table = table_of(
-        &own["things"],
-        &["thing", "#pixels", "#IoU at first", "#IoU", "moved as one", "taken for"],
-        |thing| {
-            let text = |value: &Value| Cell::Text(value.as_str().unwrap_or("-").to_owned());
-            vec![
-                Cell::Code(thing["name"].as_str().unwrap_or_default().to_owned()),
-                cell(thing, ("pixels", 1.0), "", 0),
-                cell(thing, ("first_iou", 1.0), "", 2),
-                cell(thing, ("iou", 1.0), "", 2),
-                Cell::Text(if thing["confirmed"] == true { "yes" } else { "no" }.to_owned()),
-                text(&thing["class"]),
-            ]
-        },
-    );
+    let titles = ["thing", "#pixels", "#IoU at first", "#IoU", "moved as one", "taken for"];
+    let table = table_of(&own["things"], &titles, |thing| {
+        let text = |value: &Value| Cell::Text(value.as_str().unwrap_or("-").to_owned());
+        vec![
+            Cell::Code(thing["name"].as_str().unwrap_or_default().to_owned()),
+            cell(thing, ("pixels", 1.0), "", 0),
+            cell(thing, ("first_iou", 1.0), "", 2),
+            cell(thing, ("iou", 1.0), "", 2),
+            Cell::Text(if thing["confirmed"] == true { "yes" } else { "no" }.to_owned()),
+            text(&thing["class"]),
+        ]
+    });
     let note = "What memory takes for things of their own, against the pixels that show each thing in the left eye: before any push, and at the end.";
     vec![Section::new("Things told apart", note, vec![Block::Table(table)])]
 }

@@ -42,32 +42,16 @@ struct Segment {
     radius: f64,
 }
 
+const fn finger(knuckle: [f64; 3], lengths: [f64; 3], radii: [f64; 3], spread: f64) -> Finger {
+    Finger { knuckle, lengths, radii, spread }
+}
+
 /// Index to little finger.
 const FINGERS: [Finger; 4] = [
-    Finger {
-        knuckle: [0.0, 0.030, 0.043],
-        lengths: [0.042, 0.025, 0.018],
-        radii: [0.0098, 0.0090, 0.0082],
-        spread: 1.0,
-    },
-    Finger {
-        knuckle: [-0.001, 0.010, 0.046],
-        lengths: [0.046, 0.029, 0.019],
-        radii: [0.0100, 0.0092, 0.0083],
-        spread: 0.1,
-    },
-    Finger {
-        knuckle: [0.0, -0.010, 0.043],
-        lengths: [0.042, 0.027, 0.019],
-        radii: [0.0096, 0.0088, 0.0080],
-        spread: -0.7,
-    },
-    Finger {
-        knuckle: [0.002, -0.0285, 0.037],
-        lengths: [0.033, 0.020, 0.017],
-        radii: [0.0088, 0.0080, 0.0074],
-        spread: -1.5,
-    },
+    finger([0.0, 0.030, 0.043], [0.042, 0.025, 0.018], [0.0098, 0.0090, 0.0082], 1.0),
+    finger([-0.001, 0.010, 0.046], [0.046, 0.029, 0.019], [0.0100, 0.0092, 0.0083], 0.1),
+    finger([0.0, -0.010, 0.043], [0.042, 0.027, 0.019], [0.0096, 0.0088, 0.0080], -0.7),
+    finger([0.002, -0.0285, 0.037], [0.033, 0.020, 0.017], [0.0088, 0.0080, 0.0074], -1.5),
 ];
 /// Angles of a closed finger's joints from the knuckle on, rad.
 const CLOSED: [f64; 3] = [1.48, 1.83, 1.10];
@@ -77,12 +61,7 @@ const CARPALS: [[f64; 3]; 4] =
 /// Radius of the palm about those bones, m.
 const PALM_RADIUS: f64 = 0.0135;
 /// Where the thumb begins, its lengths and radii, m.
-const THUMB: Finger = Finger {
-    knuckle: [0.005, 0.022, -0.032],
-    lengths: [0.045, 0.032, 0.025],
-    radii: [0.0150, 0.0105, 0.0090],
-    spread: 0.0,
-};
+const THUMB: Finger = finger([0.005, 0.022, -0.032], [0.045, 0.032, 0.025], [0.0150, 0.0105, 0.0090], 0.0);
 /// Directions of the thumb's parts when it is straight, and when it lies over closed fingers.
 const THUMB_STRAIGHT: [[f64; 3]; 3] = [[0.28, 0.70, 0.66], [0.16, 0.74, 0.65], [0.08, 0.74, 0.67]];
 const THUMB_CLOSED: [[f64; 3]; 3] = [[0.68, 0.34, 0.65], [0.56, -0.22, 0.80], [0.08, -0.96, 0.26]];
@@ -196,7 +175,7 @@ fn palm() -> Vec<Segment> {
 /// The body that fills the gaps between the metacarpals.
 fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
     let half = Vector3::new(0.0128, 0.0235, 0.042);
-    Shape { geometry: VisibleForm::Box { half }, scene_from_shape: *scene_from_hand, color: SKIN }
+    Shape::new(VisibleForm::Box { half }, *scene_from_hand, SKIN)
 }
 
 /// Wrist and sleeve.
@@ -206,11 +185,8 @@ fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
     let mut shapes: Vec<_> =
         [-0.0095, 0.0095].iter().map(|&y| wrist(y).shape(tinted(SKIN, 0.97, 0.0), scene_from_hand)).collect();
     let middle = Isometry3::translation(0.0, 0.0, -0.26);
-    shapes.push(Shape {
-        geometry: VisibleForm::Cylinder { radius: 0.043, half_length: 0.16 },
-        scene_from_shape: scene_from_hand * middle,
-        color: SLEEVE,
-    });
+    let sleeve = VisibleForm::Cylinder { radius: 0.043, half_length: 0.16 };
+    shapes.push(Shape::new(sleeve, scene_from_hand * middle, SLEEVE));
     shapes
 }
 
@@ -222,11 +198,8 @@ impl Segment {
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let middle = Translation3::from(self.from.coords + along / 2.0);
         let hand_from_shape = Isometry3::from_parts(middle, UnitQuaternion::from_rotation_matrix(&turn));
-        Shape {
-            geometry: VisibleForm::Capsule { radius: self.radius, half_length: along.norm() / 2.0 },
-            scene_from_shape: scene_from_hand * hand_from_shape,
-            color,
-        }
+        let form = VisibleForm::Capsule { radius: self.radius, half_length: along.norm() / 2.0 };
+        Shape::new(form, scene_from_hand * hand_from_shape, color)
     }
 }
 

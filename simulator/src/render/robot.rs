@@ -18,11 +18,8 @@ pub fn robot_shapes(kinematics: &Kinematics, scene_from_root: &Isometry3<f64>) -
 
 /// The visuals of one link that stands at `scene_from_link`.
 pub fn link_shapes(visuals: &[Visual], scene_from_link: &Isometry3<f64>) -> Vec<Shape> {
-    let shape = |visual: &Visual| Shape {
-        geometry: geometry(&visual.shape),
-        scene_from_shape: scene_from_link * visual.link_from_shape,
-        color: visual.color,
-    };
+    let pose = |visual: &Visual| scene_from_link * visual.link_from_shape;
+    let shape = |visual: &Visual| Shape::new(geometry(&visual.shape), pose(visual), visual.color);
     visuals.iter().map(shape).collect()
 }
 

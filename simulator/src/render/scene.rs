@@ -20,6 +20,12 @@ pub struct Shape {
     pub color: [u8; 3],
 }
 
+impl Shape {
+    pub(crate) fn new(geometry: VisibleForm, scene_from_shape: Isometry3<f64>, color: [u8; 3]) -> Self {
+        Self { geometry, scene_from_shape, color }
+    }
+}
+
 /// The forms. Sizes that are not positive and finite draw nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub enum VisibleForm {

@@ -71,10 +71,7 @@ impl SharedState {
 }
 
 impl RunningMotions {
-    /// Makes the caller the owner of a motion, in its newest version in memory.
-    ///
-    /// # Errors
-    /// When another skill runs the motion, or it is not in memory.
+    /// Makes the caller the owner of a motion, in its newest version in memory, unless another skill runs it.
     pub(crate) async fn own(&self, memory: &Arc<dyn Memory>, id: &EntityId) -> Result<MotionOwner, Failure> {
         // Subscribed before reading, so that no version is missed in between.
         let updates = memory.subscribe(&Pattern::entity(id)).await.map_err(failed)?;
@@ -101,21 +98,13 @@ impl RunningMotions {
             running.insert(id.clone(), Arc::downgrade(&shared));
         }
         let stop = CancellationToken::new();
-        let recorder = Recorder {
-            memory: Arc::clone(memory),
-            id: id.clone(),
-            shared: Arc::downgrade(&shared),
-            written: motion.clone(),
-            version,
-        };
+        let (memory, id, written) = (Arc::clone(memory), id.clone(), motion.clone());
+        let recorder = Recorder { memory, id, shared: Arc::downgrade(&shared), written, version };
         let task = tokio::spawn(recorder.follow(updates, edited, stop.clone()));
         Ok(MotionOwner { shared, motion, dmp, recorder: Some(task), stop })
     }
 
-    /// Access to edit a running motion.
-    ///
-    /// # Errors
-    /// When no skill in this process executes it.
+    /// Access to edit a motion that a skill in this process executes.
     pub(crate) fn edit(&self, id: &EntityId) -> Result<MotionEditor, Failure> {
         let editor = MotionEditor { shared: self.0.lock().get(id).cloned().unwrap_or_default() };
         editor.view().map(|_| editor)
@@ -163,10 +152,8 @@ impl MotionOwner {
         self.shared.state.lock().view.set_phase(phase).map_err(failed)
     }
 
-    /// Applies the pending edits, and advances by `dt` s at `omega` rad/s. `stamp_ns` is the robot's time.
-    ///
-    /// # Errors
-    /// When the step is refused, or another writer stored a version that cannot be executed.
+    /// Applies the pending edits, and advances by `dt` s at `omega` rad/s. `stamp_ns` is the robot's time. Fails where the step is
+    /// refused, or another writer stored a version that cannot be executed.
     pub(crate) fn step(&mut self, dt: f64, omega: f64, stamp_ns: u64) -> Result<(), Failure> {
         {
             let mut state = self.shared.state.lock();
@@ -242,11 +229,8 @@ impl MotionEditor {
         Ok(self.shared.upgrade().ok_or_else(not_running)?.state.lock().root_from_motion)
     }
 
-    /// Applies `change` to the present motion (with its present frequency, rad/s), and sends the difference to the
-    /// owner. `change` must be quick: the owner's control step waits for it.
-    ///
-    /// # Errors
-    /// When the motion no longer runs, or the change is refused.
+    /// Applies `change` to the present motion (with its present frequency, rad/s), and sends the difference to the owner, as long as the
+    /// motion runs. `change` must be quick: the owner's control step waits for it.
     pub(crate) fn edit<T>(
         &self,
         change: impl FnOnce(&mut PeriodicDmp, f64) -> Result<T, MotionError>,
@@ -379,10 +363,8 @@ impl Recorder {
                 }
             }
         }
-        Err(Failure::new(format!(
-            "the motion `{}` is changed by others faster than it can be written",
-            self.id
-        )))
+        let id = &self.id;
+        Err(Failure::new(format!("the motion `{id}` is changed by others faster than it can be written")))
     }
 }
 

@@ -69,7 +69,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut seen = BothSeen::new(&equipment, &context, looks).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let motions = seen.motions(&senses.newest());
-    let mut both = BothArms::take_to(&equipment, &context, &motions, Holding::Gripping).await?;
+    let mut both = BothArms::take(&equipment, &context, &motions, Holding::Gripping).await?;
     let mut head = Head::take(&equipment, &context)?;
     let mut reach = Reach::new(&context)?;
     loop {
@@ -154,11 +154,9 @@ impl Reach {
         };
         let mut commands = [command(0)?, command(1)?];
         if let Some(command) = commands.iter().find(|command| command.status != ServoStatus::Running) {
+            let mm = command.distance * 1e3;
             return Err(Failure::new(match oldest < LOST_AFTER {
-                true => format!(
-                    "servoing took too long: a hand is still {:.0} mm from its grasp",
-                    command.distance * 1e3
-                ),
+                true => format!("servoing took too long: a hand is still {mm:.0} mm from its grasp"),
                 false => format!("{} was lost from sight while servoing", seen.unseen()),
             }));
         }

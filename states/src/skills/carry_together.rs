@@ -40,7 +40,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let by = context.vector("by")?;
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
-    let mut both = BothArms::take_to(&equipment, &context, &[by], holding(&context)?).await?;
+    let mut both = BothArms::take(&equipment, &context, &[by], holding(&context)?).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     if context.flag("torso")? {
         both.turn_torso(&equipment, &context, &senses.newest());

@@ -93,14 +93,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 /// Why the eyes go to a view: what is there, how uncertain its place is, and the states whose skills need it.
 fn explained(view: &GazeView, watched: &[AttendedPlace]) -> Value {
     let said = in_view(view, watched).map(|thing| {
+        let needed_by = thing.needed_by.iter().map(|state| Value::from(state.as_str())).collect();
         Value::record([
             ("thing", Value::from(thing.name.as_str())),
             ("off_by", Value::Float((thing.deviation * 1e4).round() / 1e4)),
             ("saliency", Value::Float((saliency(thing.deviation, thing.within) * 1e3).round() / 1e3)),
-            (
-                "needed_by",
-                Value::List(thing.needed_by.iter().map(|state| Value::from(state.as_str())).collect()),
-            ),
+            ("needed_by", Value::List(needed_by)),
         ])
     });
     Value::record([("looks_at", Value::List(said.collect()))])

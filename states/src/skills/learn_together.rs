@@ -4,8 +4,8 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{
-    FeedbackError, LearningControl, LearningControlConfig, LiftAndShake, LinePoint, LoadForces, LoadStatus,
-    SharedLoad, SharedLoadConfig, SharedLoadStep, StraightLine, joint_coupling,
+    FeedbackError, Holding, LearningControl, LearningControlConfig, LiftAndShake, LinePoint, LoadForces,
+    LoadStatus, SharedLoad, SharedLoadConfig, SharedLoadStep, StraightLine, joint_coupling,
 };
 use armarium_robot::Sensed;
 use armarium_runtime::skill::{
@@ -171,7 +171,7 @@ impl Task {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let task = Task::read(&context)?;
     let highest = task.paths.iter().map(|path| path.lift + path.amplitude).fold(0.0, f64::max);
-    let mut both = BothArms::take(&equipment, &context, &[Vector3::z() * highest]).await?;
+    let mut both = BothArms::take(&equipment, &context, &[Vector3::z() * highest], Holding::Pressing).await?;
     let senses = Senses::new(&*equipment.robot, &context);
     let sample = senses.newest();
     // Hands that yielded would hide what they have to learn.

@@ -105,10 +105,8 @@ fn median(sights: Vec<Observation>, tilt: &UnitQuaternion<f64>) -> Option<Observ
     let at = |axis: usize| middle(&|pose| pose.translation.vector[axis]);
     let upright = tilt * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), first + middle(&turn)?);
     let center = Vector3::new(at(0)?, at(1)?, at(2)?);
-    let mut seen = sights
-        .into_iter()
-        .next_back()?
-        .with("pose", pose_value(&Isometry3::from_parts(center.into(), upright)));
+    let pose = Isometry3::from_parts(center.into(), upright);
+    let mut seen = sights.into_iter().next_back()?.with("pose", pose_value(&pose));
     if let Some(place) = &mut seen.place {
         place.position = Vector::new(Frame::root(), &center);
     }

@@ -53,50 +53,19 @@ use crate::equipment::Equipment;
 
 /// All skills of this room, with their `equipment`.
 pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
-    vec![
-        Arc::new(move_joints::skill(equipment)),
-        Arc::new(move_platform::skill(equipment)),
-        Arc::new(move_tcp::skill(equipment)),
-        Arc::new(move_tcp_by::skill(equipment)),
-        Arc::new(follow_object::skill(equipment)),
-        Arc::new(hold_still::skill(equipment)),
-        Arc::new(look_at::skill(equipment)),
-        Arc::new(look_around::skill(equipment)),
-        Arc::new(model_environment::skill(equipment)),
-        Arc::new(open_hand::skill(equipment)),
-        Arc::new(close_hand::skill(equipment)),
-        Arc::new(calibrate_hand_eye::skill(equipment)),
-        Arc::new(locate_object::skill(equipment)),
-        Arc::new(recall_object::skill(equipment)),
-        Arc::new(plan_grasp::skill(equipment)),
-        Arc::new(approach_object::skill(equipment)),
-        Arc::new(visual_servo::skill(equipment)),
-        Arc::new(bimanual_servo::skill(equipment)),
-        Arc::new(tare::skill(equipment)),
-        Arc::new(reset_stop::skill(equipment)),
-        Arc::new(shape_hand::skill(equipment)),
-        Arc::new(weigh_hand::skill(equipment)),
-        Arc::new(verify_grasp::skill(equipment)),
-        Arc::new(attach_object::skill(equipment)),
-        Arc::new(movement_imitation::skill(equipment)),
-        Arc::new(imitate_motion::skill(equipment)),
-        Arc::new(recall_motion::skill(equipment)),
-        Arc::new(keep_motion::skill(equipment)),
-        Arc::new(force_adaptation::skill(equipment)),
-        Arc::new(execute_motion::skill(equipment)),
-        Arc::new(play_motion::skill(equipment)),
-        Arc::new(force_coaching::skill(equipment)),
-        Arc::new(force_guiding::skill(equipment)),
-        Arc::new(squeeze_together::skill(equipment)),
-        Arc::new(carry_together::skill(equipment)),
-        Arc::new(learn_together::skill(equipment)),
-        Arc::new(put_down_together::skill(equipment)),
-        Arc::new(vision_coaching::skill(equipment)),
-        Arc::new(gaze_selection::skill(equipment)),
-        Arc::new(segment_scene::skill(equipment)),
-        Arc::new(choose_push::skill(equipment)),
-        Arc::new(push_object::skill(equipment)),
-        Arc::new(learn_things::skill(equipment)),
-        Arc::new(recognize_things::skill(equipment)),
+    macro_rules! with_equipment {
+        ($($skill:ident)*) => { vec![$(Arc::new($skill::skill(equipment))),*] };
+    }
+    with_equipment![
+        move_joints move_platform move_tcp move_tcp_by follow_object hold_still
+        look_at look_around model_environment
+        open_hand close_hand calibrate_hand_eye locate_object recall_object plan_grasp
+        approach_object visual_servo bimanual_servo
+        tare reset_stop shape_hand weigh_hand verify_grasp attach_object
+        movement_imitation imitate_motion recall_motion keep_motion
+        force_adaptation execute_motion play_motion force_coaching force_guiding
+        squeeze_together carry_together learn_together put_down_together
+        vision_coaching gaze_selection
+        segment_scene choose_push push_object learn_things recognize_things
     ]
 }

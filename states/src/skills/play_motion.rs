@@ -73,10 +73,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
 fn check_track(behind: f64) -> Result<(), Failure> {
     if behind > LOST_TRACK {
-        return Err(Failure::new(format!(
-            "the arm cannot follow the motion: it is {:.0} mm behind",
-            behind * 1e3
-        )));
+        let mm = behind * 1e3;
+        return Err(Failure::new(format!("the arm cannot follow the motion: it is {mm:.0} mm behind")));
     }
     Ok(())
 }
@@ -103,19 +101,13 @@ impl Play {
         match kept {
             Kept::Movement(movement) => Ok(Self::ToAGoal(Box::new(movement.play()))),
             Kept::Motion(motion) => {
-                let orientation = motion.orientation().cloned().ok_or_else(|| {
-                    Failure::new(format!(
-                        "the motion `{}` does not say how the hand is turned",
-                        motion.name()
-                    ))
-                })?;
+                let unfit = |why: &str| Failure::new(format!("the motion `{}` {why}", motion.name()));
+                let orientation = motion.orientation().cloned();
+                let orientation = orientation.ok_or_else(|| unfit("does not say how the hand is turned"))?;
                 let (position, omega) = (motion.primitive().clone(), motion.omega());
                 let mut rhythm = Rhythm { position, orientation, omega, left: TAU * periods, pace: 0.0 };
                 if rhythm.position.dofs() != 3 {
-                    return Err(Failure::new(format!(
-                        "the motion `{}` is none of a hand in space",
-                        motion.name()
-                    )));
+                    return Err(unfit("is none of a hand in space"));
                 }
                 rhythm.position.start_on_path(0.0, omega).map_err(failed)?;
                 rhythm.orientation.start_on_path(0.0, omega).map_err(failed)?;

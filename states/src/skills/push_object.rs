@@ -110,11 +110,6 @@ async fn push(
 
 /// That the hand follows its line.
 fn near(off: f64) -> Result<(), Failure> {
-    match off < OFF {
-        true => Ok(()),
-        false => Err(Failure::new(format!(
-            "the hand is {:.0} mm from its line; is the place within reach?",
-            off * 1e3
-        ))),
-    }
+    let why = || format!("the hand is {:.0} mm from its line; is the place within reach?", off * 1e3);
+    if off < OFF { Ok(()) } else { Err(Failure::new(why())) }
 }

@@ -55,7 +55,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (farthest, speed) = (context.number("farthest")?, context.number("speed")?);
     let (down, holding) = (Vector3::z() * -farthest, holding(&context)?);
-    let mut both = BothArms::take_to(&equipment, &context, &[down], holding).await?;
+    let mut both = BothArms::take(&equipment, &context, &[down], holding).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
     let above = (context.number("expected")?.min(farthest) - BEFORE).max(0.0);

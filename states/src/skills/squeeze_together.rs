@@ -1,6 +1,6 @@
 //! `SqueezeTogether`: takes an object between both hands. They go beside it, come nearer until each has felt it, and squeeze.
 
-use armarium_motion::{LinePoint, LoadStatus, SharedLoad, SharedLoadConfig, StraightLine};
+use armarium_motion::{Holding, LinePoint, LoadStatus, SharedLoad, SharedLoadConfig, StraightLine};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit as UnitVector, UnitQuaternion, Vector3};
@@ -40,7 +40,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let config = config(&equipment, &context)?;
     let (class, object) = equipment.remembered().thing(&context.entity("object")?).await?;
-    let mut both = BothArms::take(&equipment, &context, &[]).await?;
+    let mut both = BothArms::take(&equipment, &context, &[], Holding::Pressing).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let sides = sides(&object, &class.size.into(), &both.faces(&senses.newest()));
     go_beside(&mut both, &mut senses, &sides).await?;

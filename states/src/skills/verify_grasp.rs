@@ -50,10 +50,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let hand = hand(model, &arm.limb)?;
     let aperture = aperture(model.limb(&hand.name), &senses.newest());
     if aperture < MIN_APERTURE {
-        return Err(Failure::new(format!(
-            "the hand is closed to {:.0} mm: it holds nothing",
-            aperture * 1e3
-        )));
+        let mm = aperture * 1e3;
+        return Err(Failure::new(format!("the hand is closed to {mm:.0} mm: it holds nothing")));
     }
     let force = mean_force(&mut arm, &mut senses, 0.5).await?;
     let weight = context.number("empty")? - force.z;

@@ -37,7 +37,8 @@ pub(super) fn likelihood(
         let Some(at) = calibration.camera.project_shifted(point, shift) else { return 0.0 };
         let radius = 0.5 * diameter * calibration.camera.focal / point.z;
         // The square inside the disc should be full, the frame around the disc's square empty.
-        let inner = eye.density(&at, 0.7 * radius);
+        let (coloured, all) = eye.sum(&at, 0.7 * radius);
+        let inner = (coloured / all.max(1.0)).min(1.0);
         let (outer, square) = (eye.sum(&at, 1.5 * radius), eye.sum(&at, radius));
         let ring = (outer.0 - square.0) / (outer.1 - square.1).max(1.0);
         sum += inner - 0.5 * ring;
@@ -119,10 +120,5 @@ impl Counts {
         let inside = self.sums[y1 * w + x1] + self.sums[y0 * w + x0];
         let outside = self.sums[y0 * w + x1] + self.sums[y1 * w + x0];
         (f64::from(inside - outside), (2.0 * half).powi(2))
-    }
-
-    fn density(&self, at: &Point2<f64>, half: f64) -> f64 {
-        let (coloured, all) = self.sum(at, half);
-        (coloured / all.max(1.0)).min(1.0)
     }
 }

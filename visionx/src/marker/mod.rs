@@ -247,8 +247,7 @@ impl ColorMarkerObjectTracking {
             track.measured_ns = stamp_ns;
         }
         let (point, _) = track.cloud.mean();
-        // The centroid of an object that is no ball is offset from its centre's projection, always to the
-        // same side.
+        // The centroid of an object that is no ball lies off its centre's projection, always to the same side.
         let shape = if self.learns_diameter { 0.03 } else { 0.01 } * self.diameter.unwrap_or(0.0);
         let covariance = track.cloud.covariance() + Matrix3::identity() * (shape * shape);
         if whole && self.learns_diameter {

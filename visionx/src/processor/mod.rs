@@ -59,8 +59,7 @@ pub trait ImageProcessor: Send {
 
     /// A picture of the frames that were processed last with what was seen in them, for people; `None` when the processor draws
     /// nothing.
-    fn annotated(&self, frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
-        let _ = frames;
+    fn annotated(&self, _frames: &[Arc<RawFrame>]) -> Option<RgbImage> {
         None
     }
 }
@@ -217,11 +216,8 @@ async fn step(
         with.statistics.torn.add(1);
         return (processor, true);
     }
-    let source = SeenBy {
-        processor: processor.name().into(),
-        provider: provider.into(),
-        stamp_ns: frames[0].stamp_ns,
-    };
+    let stamp_ns = frames[0].stamp_ns;
+    let source = SeenBy { processor: processor.name().into(), provider: provider.into(), stamp_ns };
     let more = with.sink.take(&source, seen).await;
     (processor, more)
 }
@@ -230,13 +226,8 @@ async fn step(
 fn drawn(of: &RawFrame, image: RgbImage) -> RawFrame {
     let size = (image.width(), image.height());
     let image = RawImage::new("image", PixelFormat::Rgb8, size, image.into_data());
-    RawFrame {
-        number: 0,
-        stamp_ns: of.stamp_ns,
-        frame_id: of.frame_id.clone(),
-        root_from_camera: of.root_from_camera,
-        images: image.into_iter().collect(),
-    }
+    let (frame_id, images) = (of.frame_id.clone(), image.into_iter().collect());
+    RawFrame { number: 0, stamp_ns: of.stamp_ns, frame_id, root_from_camera: of.root_from_camera, images }
 }
 
 #[cfg(test)]

@@ -69,10 +69,6 @@ impl FileProvider {
         let rate_hz = if rate_hz > 0.0 && rate_hz.is_finite() { rate_hz } else { 30.0 };
         Ok(Self { description, frames, rate_hz, pace, root_from_camera, state: Mutex::new((0, None)) })
     }
-
-    fn gone(&self) -> ImageError {
-        ImageError::Gone { provider: self.description.name.clone() }
-    }
 }
 
 #[async_trait]
@@ -86,7 +82,7 @@ impl ImageProvider for FileProvider {
         let (number, began) = &mut *state;
         let files = self.frames.len() as u64;
         if *number >= files && !self.pace.repeat {
-            return Err(self.gone());
+            return Err(ImageError::Gone { provider: self.description.name.clone() });
         }
         let at = *number;
         let elapsed_s = at as f64 / self.rate_hz;

@@ -5,10 +5,7 @@ use armarium_bus::codec::decode_within;
 use armarium_bus::{Bounds, CodecError};
 use serde::de::DeserializeOwned;
 
-/// Decodes a value within bounds.
-///
-/// # Errors
-/// [`CodecError`] when the bytes are no `T` either way. The error ignores integers in place of floats.
+/// Decodes a value within bounds; an error is that of the bytes as they are, without integers in place of floats.
 pub(super) fn decode_leniently<T: DeserializeOwned>(bytes: &[u8], bounds: Bounds) -> Result<T, CodecError> {
     let strict = match decode_within(bytes, bounds) {
         Err(error @ CodecError::Content { .. }) => error,

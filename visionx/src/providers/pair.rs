@@ -7,7 +7,7 @@ use nalgebra::Isometry3;
 use super::convert::{depth_of, rgb_of};
 use super::{NotStereo, ProviderDescription, RawFrame};
 use crate::camera::StereoCalibration;
-use crate::frame::{ImageError, StereoFrame};
+use crate::frame::{ImageError, SharedImage, StereoFrame};
 use crate::providers::rectify::Rectification;
 
 /// Makes stereo pairs of a provider's frames.
@@ -56,16 +56,11 @@ impl StereoPair {
             let rectified = self.rectification.as_ref().and_then(|how| how.rectify(&stereo));
             return Ok(rectified.unwrap_or(stereo));
         }
-        let (camera, [left, right]) = (&self.calibration.camera, [&stereo.left, &stereo.right]);
-        let what = format!(
-            "eyes of {} x {} and {} x {} pixels, and is calibrated for {} x {}",
-            left.width(),
-            left.height(),
-            right.width(),
-            right.height(),
-            camera.width,
-            camera.height
-        );
+        let camera = &self.calibration.camera;
+        let size = |eye: &SharedImage| format!("{} x {}", eye.width(), eye.height());
+        let (left, right) = (size(&stereo.left), size(&stereo.right));
+        let wanted = format!("{} x {}", camera.width, camera.height);
+        let what = format!("eyes of {left} and {right} pixels, and is calibrated for {wanted}");
         Err(ImageError::Spoilt { provider: self.provider.clone(), what })
     }
 }

@@ -122,6 +122,7 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypo
         let most = largest.entry(part.of).or_default();
         *most = (*most).max(part.cells.len());
     }
+    let was_confirmed = |name: &str| known.iter().any(|before| before.confirmed && before.name == name);
     let mut named = BTreeSet::new();
     let mut things: Vec<(Hypothesis, usize)> = Vec::new();
     for part in parts {
@@ -131,7 +132,7 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypo
         let other = things.iter_mut().find(|(thing, label)| {
             joined
                 && *label == part.label
-                && !thing.confirmed_before(known)
+                && !was_confirmed(&thing.name)
                 && thing.is_near(&part.cells, TOGETHER)
         });
         if let Some((thing, _)) = other {
@@ -151,13 +152,6 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypo
 fn fresh(next: &mut usize) -> String {
     *next += 1;
     format!("thing_{next}")
-}
-
-impl Hypothesis {
-    /// Whether it was confirmed before this push.
-    fn confirmed_before(&self, known: &[Hypothesis]) -> bool {
-        known.iter().any(|before| before.name == self.name && before.confirmed)
-    }
 }
 
 /// The things with the surfaces that were seen now, and what is new. What is hidden now is where it should be.

@@ -61,20 +61,11 @@ impl<'v> Change<'v> {
         self.gone.len() + self.come.len()
     }
 
-    /// Whether a motion explains that a cell is gone: what it was is where the motion brings it.
-    pub(super) fn brings(&self, motion: &Isometry2<f64>, gone: &Feature) -> bool {
-        matches(self.after, motion, gone)
-    }
-
-    /// Whether a motion explains that a cell has come.
-    pub(super) fn brought(&self, motion: &Isometry2<f64>, come: &Feature) -> bool {
-        matches(self.before, &motion.inverse(), come)
-    }
-
     /// What is left of it that a motion does not explain.
     pub(super) fn without(&self, motion: &Isometry2<f64>) -> Self {
-        let gone = self.gone.iter().filter(|gone| !self.brings(motion, gone)).copied().collect();
-        let come = self.come.iter().filter(|come| !self.brought(motion, come)).copied().collect();
+        let back = motion.inverse();
+        let gone = self.gone.iter().filter(|gone| !matches(self.after, motion, gone)).copied().collect();
+        let come = self.come.iter().filter(|come| !matches(self.before, &back, come)).copied().collect();
         Self { before: self.before, after: self.after, gone, come }
     }
 
@@ -140,10 +131,8 @@ pub(super) fn about(pivot: &Point2<f64>, angle: f64, shift: Vector2<f64>) -> Iso
     Isometry2::new(pivot.coords + shift - turned * pivot.coords, angle)
 }
 
-/// The rigid motion that brings points nearest to others, in the sense of least squares; `None` of fewer than two.
-///
-/// # Source
-/// Umeyama 1991, in the plane and without scale.
+/// The rigid motion that brings points nearest to others, in the sense of least squares (Umeyama 1991, in the plane and without
+/// scale); `None` of fewer than two.
 pub(super) fn rigid(pairs: &[(Point2<f64>, Point2<f64>)]) -> Option<Isometry2<f64>> {
     if pairs.len() < 2 {
         return None;

@@ -75,7 +75,7 @@ impl PushChoice {
         let extent = |h: &Hypothesis| Extent::of(h, &along, &across);
         let own = extent(of);
         let middle = of.middle();
-        let line = across.dot(&middle.coords) + offset * own.width() / 2.0;
+        let line = across.dot(&middle.coords) + offset * (own.across[1] - own.across[0]) / 2.0;
         let (half_along, half_across) = self.half_finger(&along, &across);
         let hits = |h: &Hypothesis, band: f64, from: f64, to: f64| {
             h.cells.keys().any(|place| {
@@ -92,7 +92,7 @@ impl PushChoice {
             return None;
         }
         let begin = contact - half_along - BEFORE;
-        let way = (WAY.0 * own.length()).clamp(WAY.1, WAY.2);
+        let way = (WAY.0 * (own.along[1] - own.along[0])).clamp(WAY.1, WAY.2);
         let end = contact - half_along + way;
         let place = |s: f64| Point2::from(along * s + across * line);
         let (from, to) = (place(begin), place(end));
@@ -134,14 +134,6 @@ impl Extent {
             [low - CELL / 2.0, high + CELL / 2.0]
         };
         Self { along: range(along), across: range(across) }
-    }
-
-    fn length(&self) -> f64 {
-        self.along[1] - self.along[0]
-    }
-
-    fn width(&self) -> f64 {
-        self.across[1] - self.across[0]
     }
 
     /// Whether this is in the way of another one that is pushed so far.

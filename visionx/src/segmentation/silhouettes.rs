@@ -36,7 +36,11 @@ pub(super) fn silhouettes(
     plane: &Plane,
 ) -> Vec<Vec<PixelRun>> {
     let size = [depth.width as usize, depth.height as usize];
-    let owners = owners(hypotheses);
+    let owners: BTreeMap<Place, usize> = hypotheses
+        .iter()
+        .enumerate()
+        .flat_map(|(i, h)| h.cells.keys().map(move |place| (*place, i)))
+        .collect();
     let mut labels: Vec<Option<usize>> = vec![None; size[0] * size[1]];
     let mut unsure = vec![true; labels.len()];
     for (x, y) in Region::whole(depth.width, depth.height).pixels() {
@@ -56,11 +60,6 @@ pub(super) fn silhouettes(
         grow(&mut labels, &unsure, colors, size);
     }
     (0..hypotheses.len()).map(|of| runs(&labels, of, depth)).collect()
-}
-
-/// Which hypothesis each cell is of.
-fn owners(hypotheses: &[Hypothesis]) -> BTreeMap<Place, usize> {
-    hypotheses.iter().enumerate().flat_map(|(i, h)| h.cells.keys().map(move |place| (*place, i))).collect()
 }
 
 /// The hypothesis with the nearest cell that is high enough.

@@ -18,12 +18,6 @@ const HYPOTHESES: &str = "ObjectHypotheses";
 /// How many pictures are averaged; a depth that is missing in more than half of them is not known.
 const PICTURES: usize = 5;
 
-/// What was told apart, and the pixels that show it.
-struct SegmentedPicture {
-    known: Vec<Hypothesis>,
-    masks: Vec<Vec<PixelRun>>,
-}
-
 /// Tells apart what stands on a table, beginning with what was known of it before; depth and colour of five pictures are averaged.
 ///
 /// It observes `ObjectHypotheses`, once, each with `pose`, `size`, `color`, `points`, `mask`, `confirmed` and `pushes`.
@@ -34,7 +28,8 @@ pub struct SegmentationStep {
     /// The number in the name of the newest hypothesis.
     newest: usize,
     pictures: Vec<(DepthImage, RgbImage)>,
-    look: Option<SegmentedPicture>,
+    /// What was told apart, and the pixels that show it.
+    look: Option<(Vec<Hypothesis>, Vec<Vec<PixelRun>>)>,
 }
 
 impl SegmentationStep {
@@ -61,7 +56,7 @@ impl SegmentationStep {
         let seen =
             known.iter().zip(&masks).filter_map(|(h, mask)| observation(h, mask, &plane, frame.stamp_ns));
         let seen = seen.collect();
-        self.look = Some(SegmentedPicture { known, masks });
+        self.look = Some((known, masks));
         Some(seen)
     }
 }
@@ -124,8 +119,8 @@ impl StereoStep for SegmentationStep {
     }
 
     fn draw(&self, image: &mut RgbImage) {
-        let Some(look) = &self.look else { return };
-        for (n, (hypothesis, mask)) in look.known.iter().zip(&look.masks).enumerate() {
+        let Some((known, masks)) = &self.look else { return };
+        for (n, (hypothesis, mask)) in known.iter().zip(masks).enumerate() {
             let hue =
                 [[230, 60, 60], [60, 190, 60], [70, 90, 240], [230, 190, 40], [190, 60, 210], [40, 200, 210]];
             let color = Vector3::from(hue[n % hue.len()]).cast::<f64>();

@@ -93,11 +93,8 @@ const ROUNDS: usize = 4;
 const OUTLIER: f64 = 8.0;
 const LARGEST: f64 = 3.0;
 
-/// The shift of all of a picture against where it is expected to be, px: what joint angles and stamps leave of the camera's own motion.
-/// `pairs` are pixels of the first picture, and where they would be in the other one.
-///
-/// # Source
-/// Lucas and Kanade 1981, for one shift, with Huber's weights.
+/// The shift of all of a picture against where it is expected to be, px (Lucas and Kanade 1981, for one shift, with Huber's weights): what
+/// joint angles and stamps leave of the camera's own motion. `pairs` are pixels of the first picture, and where they would be in the other.
 pub(super) fn align(
     image: &RgbImage,
     other: &RgbImage,

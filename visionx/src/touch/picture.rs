@@ -52,7 +52,12 @@ impl Picture {
 
     /// How far the fingers have moved since an earlier picture, px of this one.
     pub(super) fn fingers_moved_since(&self, earlier: &Self) -> f64 {
-        let [then, now] = [earlier, self].map(|picture| self.px(&picture.hand.middle_of_fingers()));
+        let middle_of_fingers = |picture: &Self| {
+            let fingers = &picture.hand.fingers;
+            let sum: Vector3<f64> = fingers.iter().map(|finger| finger.part.middle().coords).sum();
+            Point3::from(sum / fingers.len().max(1) as f64)
+        };
+        let [then, now] = [earlier, self].map(|picture| self.px(&middle_of_fingers(picture)));
         then.zip(now).map_or(0.0, |(then, now)| (now - then).norm())
     }
 
@@ -127,12 +132,4 @@ fn nearest_depth(depth: &DepthImage, (x, y): (u32, u32), within: u32) -> Option<
     let at =
         |(dx, dy): (&u32, &u32)| Some(depth.at((x + dx).checked_sub(within)?, (y + dy).checked_sub(within)?));
     all.filter_map(at).filter(|z| *z > 0.0).min_by(f32::total_cmp).map(f64::from)
-}
-
-impl OwnHand {
-    /// The middle between its fingers, root frame.
-    fn middle_of_fingers(&self) -> Point3<f64> {
-        let sum: Vector3<f64> = self.fingers.iter().map(|finger| finger.part.middle().coords).sum();
-        Point3::from(sum / self.fingers.len().max(1) as f64)
-    }
 }

@@ -93,13 +93,8 @@ const MAX_TIPS: usize = 5;
 impl ParticleFilterFingerTracking {
     /// A filter of `count` particles without any tips.
     pub fn new(model: FingerARModel, count: usize) -> Self {
-        Self {
-            model,
-            particles: vec![Contour::default(); count.max(2)],
-            nodes: Vec::new(),
-            next_id: 1,
-            count,
-        }
+        let particles = vec![Contour::default(); count.max(2)];
+        Self { model, particles, nodes: Vec::new(), next_id: 1, count }
     }
 
     /// Drops all tips.

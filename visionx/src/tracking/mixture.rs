@@ -44,7 +44,10 @@ impl Mixture {
         for _ in 0..ROUNDS {
             mixture.parts = (0..k).map(|i| part(&samples, |s| weights[s][i])).collect();
             for (w, color) in weights.iter_mut().zip(&samples) {
-                mixture.shares(color, w);
+                let total = mixture.log_density(color);
+                for (share, part) in w.iter_mut().zip(&mixture.parts) {
+                    *share = libm::expf(part.log(color) - total);
+                }
             }
         }
         Some(mixture)
@@ -74,13 +77,6 @@ impl Mixture {
     pub(super) fn part_of(&self, color: &[f32; 3]) -> usize {
         let log = |i: &usize| self.parts[*i].log(color);
         (0..self.parts.len()).max_by(|a, b| log(a).total_cmp(&log(b))).unwrap_or(0)
-    }
-
-    fn shares(&self, color: &[f32; 3], into: &mut [f32]) {
-        let total = self.log_density(color);
-        for (share, part) in into.iter_mut().zip(&self.parts) {
-            *share = libm::expf(part.log(color) - total);
-        }
     }
 }
 

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use super::ar_model::FingerARModel;
 use super::contour_filter::{FilterFrame, ParticleFilterFingerTracking};
 use super::edges::edge_map;
-use super::hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
+use super::hough::{AdaptiveHoughTransform, TipCandidate};
 use crate::camera::StereoCalibration;
 use crate::frame::StereoFrame;
 use crate::tracking::hand::candidates::{HandCandidate, find};
@@ -130,7 +130,10 @@ impl FingerTipTracking {
         let ranging = Ranging::of(frame, &self.calibration, hand);
         for tip in &mut tips {
             if let Some(votes) = votes.as_ref().filter(|_| self.settings.mean_shift) {
-                shift(tip, votes);
+                let shifted = votes.mean_shift(&tip.px);
+                if (shifted - tip.px).norm() < tip.radius {
+                    tip.px = shifted;
+                }
             }
             let metres = 0.9 * radius * hand.z / camera.focal;
             tip.in_left = ranging.as_ref().and_then(|r| r.point(&tip.px, &tip.px, metres));
@@ -158,13 +161,6 @@ impl FingerTipTracking {
 
 fn tip(id: u64, px: Point2<f64>, radius: f64, score: f64) -> TrackedFingertip {
     TrackedFingertip { id, px, radius, in_left: None, score }
-}
-
-fn shift(tip: &mut TrackedFingertip, votes: &HoughVotes) {
-    let shifted = votes.mean_shift(&tip.px);
-    if (shifted - tip.px).norm() < tip.radius {
-        tip.px = shifted;
-    }
 }
 
 /// Whether a circle is at the end of a finger of the silhouette and points along it.
