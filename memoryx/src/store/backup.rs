@@ -30,9 +30,9 @@ impl LongTermMemory {
                 .failed(&format!("the copy lies beside it, so `{name}` must be the name of a file alone")));
         }
         let own = self.path.as_ref().ok_or_else(|| self.failed("it has no file"))?;
-        let copy = own.with_file_name(name);
-        if copy.exists() {
-            return Err(self.failed(&format!("there is a file `{}` already", copy.display())));
+        let whole = own.with_file_name(name);
+        if whole.exists() {
+            return Err(self.failed(&format!("there is a file `{}` already", whole.display())));
         }
         // It has its name when it is whole.
         let unfinished = own.with_file_name(format!("{name}.unfinished"));
@@ -49,12 +49,12 @@ impl LongTermMemory {
             copy_all_but_records(&from, &to)
         });
         let copied = copied.and_then(|()| {
-            std::fs::rename(&unfinished, &copy).map_err(|error| self.failed(&format!("the copy: {error}")))
+            std::fs::rename(&unfinished, &whole).map_err(|error| self.failed(&format!("the copy: {error}")))
         });
         if copied.is_err() {
             let _ = std::fs::remove_file(&unfinished).is_ok();
         }
-        copied.map(|()| copy)
+        copied.map(|()| whole)
     }
 }
 
