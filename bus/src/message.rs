@@ -10,7 +10,7 @@ use zenoh::sample::{SampleKind, SourceInfo};
 use crate::error::{SessionError, failed};
 use crate::keys::Key;
 use crate::queue::Receiver;
-use crate::turns::{Turn, Turns};
+use crate::turns::{AskerTurn, Turns};
 
 /// A future of the session. Its type is hidden, so that those who wait for it are not compiled with Zenoh inside.
 pub type Boxed<'a, T> = Pin<Box<dyn Future<Output = Result<T, SessionError>> + Send + 'a>>;
@@ -64,7 +64,7 @@ pub struct IncomingQuery {
     pub payload: Vec<u8>,
     /// The session that sent it, if it says so.
     pub sender: Option<String>,
-    turn: Turn,
+    turn: AskerTurn,
     query: Option<zenoh::query::Query>,
 }
 

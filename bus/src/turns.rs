@@ -20,7 +20,7 @@ pub(crate) struct Turns(Arc<Mutex<BTreeMap<String, Weak<tokio::sync::Mutex<()>>>
 
 /// The turns of one asker.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Turn(Arc<tokio::sync::Mutex<()>>);
+pub(crate) struct AskerTurn(Arc<tokio::sync::Mutex<()>>);
 
 /// Does what may hold up the thread, while the thread's other tasks go on elsewhere, where there is an elsewhere.
 pub(crate) fn aside<T>(act: impl FnOnce() -> T) -> T {
@@ -32,22 +32,22 @@ pub(crate) fn aside<T>(act: impl FnOnce() -> T) -> T {
 
 impl Turns {
     /// The turns of an asker. Those who do not say who they are share theirs.
-    pub(crate) fn of(&self, asker: Option<&str>) -> Turn {
+    pub(crate) fn of(&self, asker: Option<&str>) -> AskerTurn {
         let mut askers = self.0.lock();
         let asker = asker.unwrap_or_default();
         if let Some(turn) = askers.get(asker).and_then(Weak::upgrade) {
-            return Turn(turn);
+            return AskerTurn(turn);
         }
         if askers.len() >= KEPT {
             askers.retain(|_, turn| turn.strong_count() > 0);
         }
-        let turn = Turn::default();
+        let turn = AskerTurn::default();
         askers.insert(asker.into(), Arc::downgrade(&turn.0));
         turn
     }
 }
 
-impl Turn {
+impl AskerTurn {
     /// Sends when it is this one's turn.
     pub(crate) async fn take<T>(&self, send: impl FnOnce() -> T) -> T {
         let _taken = self.0.lock().await;

@@ -14,7 +14,7 @@ pub(crate) enum PathStep {
 
 /// What is written at a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum CursorPlace {
     /// A key of the map under the path.
     Key,
     /// The value under the path.
@@ -26,7 +26,7 @@ pub(crate) enum Place {
 pub(crate) struct Cursor {
     /// The keys that it is under; at a value the value's own key is the last.
     pub(crate) path: Vec<PathStep>,
-    pub(crate) place: Place,
+    pub(crate) place: CursorPlace,
     /// The entry that the path leads to.
     pub(crate) entry: Option<usize>,
     /// The letters, digits and underscores around the place.
@@ -97,7 +97,7 @@ pub(crate) fn path(text: &str, layout: &Layout, entry: Option<usize>) -> Vec<Pat
 }
 
 /// The entry, what is written there, whether between brackets, and where a value begins.
-type Found = (Option<usize>, Place, bool, usize);
+type Found = (Option<usize>, CursorPlace, bool, usize);
 
 fn flow(text: &str, layout: &Layout, offset: usize) -> Option<Found> {
     let around = |b: &&armarium_source::Brackets| b.open < offset && offset <= b.close.unwrap_or(b.end);
@@ -107,7 +107,7 @@ fn flow(text: &str, layout: &Layout, offset: usize) -> Option<Found> {
     });
     let last = inside.next_back();
     let fresh = |from| {
-        let place = if brackets.map { Place::Key } else { Place::Value };
+        let place = if brackets.map { CursorPlace::Key } else { CursorPlace::Value };
         Some((brackets.entry, place, true, from))
     };
     let Some((at, entry)) = last else { return fresh(brackets.open + 1) };
@@ -117,16 +117,16 @@ fn flow(text: &str, layout: &Layout, offset: usize) -> Option<Found> {
         return fresh(from + text[from..offset].len() - text[from..offset].trim_start().len());
     }
     if entry.item {
-        return Some((Some(at), Place::Value, true, entry.key.start));
+        return Some((Some(at), CursorPlace::Value, true, entry.key.start));
     }
     let colon = text.get(entry.key.end..offset).and_then(|rest| rest.find(':'));
     match colon {
         Some(colon) => {
             let from = entry.key.end + colon + 1;
             let blank = text[from..offset].len() - text[from..offset].trim_start().len();
-            Some((Some(at), Place::Value, true, entry.value.unwrap_or(from + blank)))
+            Some((Some(at), CursorPlace::Value, true, entry.value.unwrap_or(from + blank)))
         }
-        None => Some((entry.parent, Place::Key, true, entry.key.start)),
+        None => Some((entry.parent, CursorPlace::Key, true, entry.key.start)),
     }
 }
 
@@ -140,14 +140,14 @@ fn block(text: &str, layout: &Layout, offset: usize) -> Found {
     if let Some(at) = last.filter(|at| entries[*at].key.start >= line || in_text) {
         let entry = &entries[at];
         if !entry.item && offset <= entry.key.end {
-            return (entry.parent, Place::Key, false, entry.key.start);
+            return (entry.parent, CursorPlace::Key, false, entry.key.start);
         }
         let from = entry.value.unwrap_or_else(|| {
             let after = if entry.item { entry.key.end } else { entry.key.end + 1 };
             after + text.get(after..offset).map_or(0, |rest| rest.len() - rest.trim_start().len())
         });
         // After a dash a map may begin.
-        let place = if entry.item { Place::Key } else { Place::Value };
+        let place = if entry.item { CursorPlace::Key } else { CursorPlace::Value };
         return (Some(at), place, false, from);
     }
     let column = text[line..].bytes().take_while(|byte| *byte == b' ').count().min(offset - line);
@@ -159,7 +159,7 @@ fn block(text: &str, layout: &Layout, offset: usize) -> Found {
             !entry.flow && (entry.column < column || dash && entry.column == column && !entry.item)
         })
     });
-    (parent, Place::Key, false, line + column)
+    (parent, CursorPlace::Key, false, line + column)
 }
 
 /// The letters, digits and underscores around a byte.

@@ -35,7 +35,7 @@ pub enum RobotAt {
 }
 
 /// A robot that was found.
-pub(crate) enum Outside {
+pub(crate) enum OutsideRobot {
     Driver(Box<RemoteDriver>),
     DryDriver(Box<DryDriver<RemoteDriver>>),
     Guard(RemoteRobot),
@@ -61,7 +61,7 @@ struct Witnessed<D> {
     teller: Option<SceneTeller>,
 }
 
-impl Outside {
+impl OutsideRobot {
     /// Connects to the world's robot, or claims its driver, as the agent `caller`.
     pub(crate) fn connect(
         at: &RobotAt,

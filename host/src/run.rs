@@ -24,7 +24,7 @@ use tokio::task::JoinHandle;
 use crate::cameras;
 use crate::charts::{executor, load};
 use crate::console::{Console, WorldClock};
-use crate::driven::{self, Outside, RobotAt};
+use crate::driven::{self, OutsideRobot, RobotAt};
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
 use crate::live::{self, Live, OpenPage};
@@ -97,11 +97,11 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
     let outside = match (&config.robot_at, &network.connection) {
         (Some(at), Some(connection)) => {
             let caller = name.as_deref().unwrap_or(&world.world.robot.name);
-            Some(Outside::connect(at, &world.world, caller, connection)?)
+            Some(OutsideRobot::connect(at, &world.world, caller, connection)?)
         }
         _ => None,
     };
-    let waits = outside.as_ref().is_some_and(Outside::waits);
+    let waits = outside.as_ref().is_some_and(OutsideRobot::waits);
     let alone = network.connection.is_none() || (waits && name.is_none() && config.cameras.is_none());
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let virtual_time = !config.real_time && alone;
@@ -118,14 +118,14 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
 async fn perform(
     config: &RunConfig,
     world: &WorldFile,
-    (network, outside): (&Network, Option<Outside>),
+    (network, outside): (&Network, Option<OutsideRobot>),
     workers: Workers,
     console: &Arc<dyn Console>,
     began: Instant,
 ) -> Result<RunEnded, HostError> {
-    let (mut stage, mover) = Stage::set(config, &world.world, network, outside, &**console).await?;
-    stage.robot.equipment.workers = workers;
-    let equipment = &stage.robot.equipment;
+    let (mut setup, mover) = RunSetup::prepare(config, &world.world, network, outside, &**console).await?;
+    setup.robot.equipment.workers = workers;
+    let equipment = &setup.robot.equipment;
     let (program, registry) = load(config, equipment, &world.world, network, &**console).await?;
     network.explain_events(&program, &**console);
     let folder = ReportFolder::take(&config.report, config.keep_reports)?;
@@ -137,11 +137,11 @@ async fn perform(
         Some(file) => console.note(&format!("the world is {}{}", file.display(), world.world.mirror_note())),
         None => console.note(&format!("the world is the default kitchen{}", world.world.mirror_note())),
     }
-    let handle = stage.robot.handle.clone();
+    let handle = setup.robot.handle.clone();
     console.world_begins(Arc::new(move || handle.now_ns()));
-    let others = stage.start_other_agents(config, world, network, &mover).await?;
+    let others = setup.start_other_agents(config, world, network, &mover).await?;
     let chart = program.name().to_owned();
-    let logger = stage.logger(&registry, console);
+    let logger = setup.logger(&registry, console);
     let channels = Channels::new().with_memory(observers::memory(equipment));
     let among = InProcess::of(&world.world, network);
     let file = (&world.world, world.file.as_deref());
@@ -160,28 +160,28 @@ async fn perform(
         &live::body_names(&world.world),
     );
     let executor = executor(config, program, (registry, &channels), &logger, equipment, peers, console)?;
-    stage.open_recording(config, &chart, &world.world, &header, &**console)?;
+    setup.open_recording(config, &chart, &world.world, &header, &**console)?;
     // Before anybody can hold up the run through its page.
     let stopping = tokio::spawn(side_tasks::stop_on_signal(executor.controller()));
     let virtual_time = workers == Workers::Joined;
     let page =
-        stage.open_page(config, (executor.controller(), virtual_time), &logger.log, network, console).await?;
+        setup.open_page(config, (executor.controller(), virtual_time), &logger.log, network, console).await?;
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
-    let mut tasks = stage.side_tasks(&logger, &joints, console, began);
+    let mut tasks = setup.side_tasks(&logger, &joints, console, began);
     tasks.push(stopping);
     tasks.extend(config.longest.map(|longest| {
-        let clock = stage.robot.handle.clone();
+        let clock = setup.robot.handle.clone();
         tokio::spawn(side_tasks::stop_after(longest, clock, executor.controller()))
     }));
     tasks.extend(config.largest_recording.map(|most| {
         let file = config.report.join("run.mcap");
-        tokio::spawn(side_tasks::bound_recording(file, most, stage.recorder.clone()))
+        tokio::spawn(side_tasks::bound_recording(file, most, setup.recorder.clone()))
     }));
-    tasks.extend(observers::start(&stage.robot.equipment, &channels));
+    tasks.extend(observers::start(&setup.robot.equipment, &channels));
     tasks.extend(others.as_ref().map(|others| tokio::spawn(others.watch(executor.controller()))));
-    let (outside, mut sensed) = (config.robot_at.is_some(), stage.robot.equipment.robot.sensed());
-    let world_task = tokio::spawn(mover.run(stage.robot.handle.clone(), Arc::clone(console)));
+    let (outside, mut sensed) = (config.robot_at.is_some(), setup.robot.equipment.robot.sensed());
+    let world_task = tokio::spawn(mover.run(setup.robot.handle.clone(), Arc::clone(console)));
     if outside {
         // Where its joints are is known with the first sample. If none comes, the skills fail with the reason.
         let _ = sensed.changed().await;
@@ -195,20 +195,20 @@ async fn perform(
     };
     // A robot that others use, too, goes on; the leases of this run have ended.
     if !matches!(config.robot_at, Some(RobotAt::Guard(_))) {
-        stage.robot.equipment.robot.stop("the run has ended");
+        setup.robot.equipment.robot.stop("the run has ended");
         if result.outcome != "success" {
             // How it came to stand is part of the truth, and of the recording.
             tokio::time::sleep(BRAKING).await;
         }
     }
-    stage.robot.handle.stop();
+    setup.robot.handle.stop();
     tasks.iter().for_each(JoinHandle::abort);
     let _ = world_task.await;
-    if let Err(error) = stage.memory.flush() {
+    if let Err(error) = setup.memory.flush() {
         console.note(&format!("warning: what was learned was not kept: {error}"));
     }
     let acted = page.map_or_else(Vec::new, |acted| acted.lock().clone());
-    stage.report(
+    setup.report(
         config,
         &chart,
         &world.world,
@@ -250,7 +250,7 @@ impl Mover {
 }
 
 /// What a chart runs with: the robot in its world, its memory, and the recorders.
-struct Stage {
+struct RunSetup {
     memory: AgentMemory,
     robot: StagedRobot,
     frames: Arc<FrameSampler>,
@@ -259,12 +259,12 @@ struct Stage {
     live: Option<Live>,
 }
 
-impl Stage {
-    async fn set(
+impl RunSetup {
+    async fn prepare(
         config: &RunConfig,
         world: &World,
         network: &Network,
-        outside: Option<Outside>,
+        outside: Option<OutsideRobot>,
         console: &dyn Console,
     ) -> Result<(Self, Mover), HostError> {
         let recorder = SharedRecorder::default();

@@ -22,12 +22,12 @@ const LARGE_BYTES: u64 = 16 << 10;
 /// A change as a memory tells it in its process. Until the slowest subscriber has taken it, a small snapshot is kept, and a large
 /// one as long as the memory has it: so what waits is bounded in bytes.
 #[derive(Clone, Debug)]
-pub(crate) enum Told {
+pub(crate) enum PublishedSnapshot {
     Small(Arc<Snapshot>),
     Large(Weak<Snapshot>),
 }
 
-impl Told {
+impl PublishedSnapshot {
     pub(crate) fn of(snapshot: &Arc<Snapshot>) -> Self {
         if snapshot.bytes() < LARGE_BYTES {
             Self::Small(Arc::clone(snapshot))
@@ -68,7 +68,7 @@ impl Changes {
     }
 
     /// The changes that this process's memory sends.
-    pub(crate) fn here(pattern: Pattern, receiver: broadcast::Receiver<Told>) -> Self {
+    pub(crate) fn here(pattern: Pattern, receiver: broadcast::Receiver<PublishedSnapshot>) -> Self {
         Self::new(pattern, Here { receiver, until_ns: 0 })
     }
 
@@ -118,7 +118,7 @@ impl Changes {
 
 /// The changes of a memory in this process, which come in the order of their arrival.
 struct Here {
-    receiver: broadcast::Receiver<Told>,
+    receiver: broadcast::Receiver<PublishedSnapshot>,
     until_ns: u64,
 }
 

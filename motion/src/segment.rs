@@ -94,12 +94,12 @@ pub struct DemonstrationSegmenter {
     config: SegmenterConfig,
     recent: VecDeque<(f64, Point3<f64>)>,
     known: Demonstration,
-    rest: Option<Rest>,
+    rest: Option<RestingPlace>,
     track: Vec<(f64, Point3<f64>)>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Rest {
+struct RestingPlace {
     place: Point3<f64>,
     until: f64,
 }
@@ -160,7 +160,7 @@ impl DemonstrationSegmenter {
         match self.known.stage {
             DemonstrationStage::Waiting => {
                 if let Some(place) = resting {
-                    self.rest = Some(Rest { place, until: time });
+                    self.rest = Some(RestingPlace { place, until: time });
                     self.known.stage = DemonstrationStage::Rest;
                 }
             }
@@ -206,7 +206,7 @@ impl DemonstrationSegmenter {
             Some(swipe) => {
                 self.known.swipe = Some(swipe);
                 self.known.stage = DemonstrationStage::Swiped;
-                self.rest = resting.map(|place| Rest { place, until: time });
+                self.rest = resting.map(|place| RestingPlace { place, until: time });
                 self.known.periodic_since = back.then_some(swipe.end_time);
                 if back {
                     self.known.stage = DemonstrationStage::Periodic;
@@ -218,7 +218,7 @@ impl DemonstrationSegmenter {
     }
 
     /// The swipe on the track, if it is long and straight enough.
-    fn swipe(&self, rest: Rest) -> Option<Swipe> {
+    fn swipe(&self, rest: RestingPlace) -> Option<Swipe> {
         let distance = |p: &Point3<f64>| (p - rest.place).norm();
         // The farthest samples are averaged, as a single one contains its noise.
         let farthest = self.track.iter().map(|(_, p)| distance(p)).fold(0.0, f64::max);
@@ -245,7 +245,7 @@ impl DemonstrationSegmenter {
 
     fn swiped(&mut self, time: f64, resting: Option<Point3<f64>>) {
         if let Some(place) = resting {
-            self.rest = Some(Rest { place, until: time });
+            self.rest = Some(RestingPlace { place, until: time });
             return;
         }
         let place = self.rest.map(|rest| rest.place);

@@ -257,12 +257,12 @@ fn above(network: &Network, model: &Arc<Model>) {
 /// Joints that tell when they were sampled and when their targets came, and count the periods in which these were late.
 struct Watched {
     joints: ServoDriver,
-    told: Arc<Mutex<Told>>,
+    told: Arc<Mutex<SampleTimes>>,
     applied: mpsc::Sender<Instant>,
 }
 
 #[derive(Default)]
-struct Told {
+struct SampleTimes {
     sampled: BTreeMap<u64, Instant>,
     last: Option<Instant>,
     periods: u64,
@@ -307,9 +307,9 @@ fn driven(
     Network { threads, here, there }: &Network,
     model: &Arc<Model>,
     clock: DriverClock,
-) -> (DriverServer, RemoteDriver, Arc<Mutex<Told>>, Came) {
+) -> (DriverServer, RemoteDriver, Arc<Mutex<SampleTimes>>, Came) {
     let (applied, came) = mpsc::channel();
-    let told = Arc::<Mutex<Told>>::default();
+    let told = Arc::<Mutex<SampleTimes>>::default();
     let joints = ServoDriver::new(model, model.start(), clock);
     let watched = Watched { joints, told: Arc::clone(&told), applied };
     let name = ("bench", if clock == DriverClock::Lockstep { "still" } else { "alive" });
@@ -361,13 +361,13 @@ fn below(network: &Network, model: &Arc<Model>) {
     }
     compare("sample to skill with the guard between, against a put", samples, puts);
 
-    *told.lock() = Told::default();
+    *told.lock() = SampleTimes::default();
     let began = now();
     while began.elapsed() < COUNTED {
         threads.block_on(seen.changed()).unwrap();
         told.lock().sampled.clear();
     }
-    let (Told { periods, late, .. }, seconds) =
+    let (SampleTimes { periods, late, .. }, seconds) =
         (std::mem::take(&mut *told.lock()), began.elapsed().as_secs_f64());
     let share = 100.0 * late as f64 / periods as f64;
     println!(

@@ -433,12 +433,12 @@ pub(crate) struct Distances {
     /// The pose of each body at the last update, and how far any of its points may have moved since the start, m.
     poses: Vec<Isometry3<f64>>,
     moved: Vec<f64>,
-    known: Vec<Known>,
+    known: Vec<PairDistance>,
 }
 
 /// What is known of a pair.
 #[derive(Clone, Copy, Debug)]
-struct Known {
+struct PairDistance {
     /// As computed; `Err` has only a lower bound, for bodies that are far apart.
     nearest: Result<Near, f64>,
     /// How far both had moved by then, m.
@@ -452,7 +452,7 @@ impl Distances {
             poses: vec![Isometry3::identity(); bodies.bodies.len()],
             moved: vec![0.0; bodies.bodies.len()],
             // Nothing is known: the first update computes every pair.
-            known: vec![Known { nearest: Err(0.0), moved: f64::NEG_INFINITY }; bodies.pairs.len()],
+            known: vec![PairDistance { nearest: Err(0.0), moved: f64::NEG_INFINITY }; bodies.pairs.len()],
         }
     }
 
@@ -473,14 +473,14 @@ impl Distances {
                 Err(distance) => (distance, (distance - FAR).max(FINE)),
             };
             if since > slack || distance.is_nan() {
-                *known = Known { nearest: pair.nearest(kinematics, bodies), moved };
+                *known = PairDistance { nearest: pair.nearest(kinematics, bodies), moved };
             }
         }
     }
 
     /// The pairs that are nearer than `within` m.
     pub(crate) fn near(&self, within: f64) -> impl Iterator<Item = (usize, Near)> {
-        let one = move |((index, known), pair): ((usize, &Known), &Pair)| {
+        let one = move |((index, known), pair): ((usize, &PairDistance), &Pair)| {
             let [a, b] = pair.bodies;
             let mut near = known.nearest.ok()?;
             near.distance -= (self.moved[a] + self.moved[b] - known.moved).max(0.0);

@@ -31,8 +31,8 @@ pub struct Lead {
 /// Leading, from reaching for a hand to letting go of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Leading {
-    hands: [Option<Taken>; 2],
-    way: Way,
+    hands: [Option<TakenHand>; 2],
+    way: LeadPath,
     turn: Vector3<f64>,
     reaching: f64,
     holding: f64,
@@ -42,7 +42,7 @@ pub(crate) struct Leading {
 
 /// A hand of the robot for a hand of the person.
 #[derive(Clone, Copy, Debug)]
-struct Taken {
+struct TakenHand {
     arm: usize,
     /// Where the person's hand was before.
     from: Point3<f64>,
@@ -60,16 +60,16 @@ impl Leading {
         let mut hands = [None; 2];
         let first = action.hand.index();
         for side in [first, 1 - first].into_iter().take(if action.both { 2 } else { 1 }) {
-            let taken = hands.iter().flatten().map(|taken: &Taken| taken.arm).next();
+            let taken = hands.iter().flatten().map(|taken: &TakenHand| taken.arm).next();
             let free = seen.iter().enumerate().filter(|(arm, _)| Some(*arm) != taken);
             let nearest =
                 free.min_by(|(_, a), (_, b)| (*a - from[side]).norm().total_cmp(&(*b - from[side]).norm()))?;
-            hands[side] = Some(Taken { arm: nearest.0, from: from[side], at: *nearest.1 });
+            hands[side] = Some(TakenHand { arm: nearest.0, from: from[side], at: *nearest.1 });
         }
         let far = hands.iter().flatten().map(|hand| (hand.at - hand.from).norm()).fold(0.0, f64::max);
         Some(Self {
             hands,
-            way: Way::new(action),
+            way: LeadPath::new(action),
             turn: Vector3::from(action.turn_deg.map(f64::to_radians)),
             reaching: (1.9 * far / REACHING).max(0.3),
             holding: action.duration,
@@ -113,13 +113,13 @@ impl Leading {
 
 /// A way through places, with a speed that rises and falls evenly.
 #[derive(Clone, Debug)]
-struct Way {
+struct LeadPath {
     /// The places, each with the length of the way up to it, m.
     places: Vec<(f64, Vector3<f64>)>,
     speed: f64,
 }
 
-impl Way {
+impl LeadPath {
     fn new(action: &PersonAction) -> Self {
         let mut places = vec![(0.0, Vector3::zeros())];
         for place in (0..action.times).flat_map(|_| &action.lead) {

@@ -18,7 +18,7 @@ use crate::arm::{ArmLeases, Senses, tcp_of};
 use crate::equipment::Equipment;
 use crate::grasp::held_in_tcp;
 use crate::motions::failed;
-use crate::places::{Known, distance, known};
+use crate::places::{KnownPlace, distance, known};
 
 /// A thing that is nearer than this to where the hand grasps is what it works on, m.
 const AT_HAND: f64 = 0.05;
@@ -65,13 +65,14 @@ impl Around {
         let grasps: Vec<_> =
             target.into_iter().chain([&here]).map(|root_from_tcp| root_from_tcp * held).collect();
         let loads = equipment.robot.loads();
-        let in_the_way = |known: &Known| {
+        let in_the_way = |known: &KnownPlace| {
             let held =
                 loads.values().any(|load| known.thing.as_ref().is_some_and(|id| id.as_str() == load.name));
             let at_hand = || grasps.iter().any(|grasp| distance(&known.shape, grasp) < AT_HAND);
             known.thing.is_none() || !(held || at_hand())
         };
-        let known: Vec<Known> = known(equipment.remembered()).await?.into_iter().filter(in_the_way).collect();
+        let known: Vec<KnownPlace> =
+            known(equipment.remembered()).await?.into_iter().filter(in_the_way).collect();
         let places = known.iter().filter(|known| known.thing.is_none()).map(|known| &known.shape.name);
         let kept = places.filter(|name| !leases.touches.contains(name)).cloned().collect();
         let joints = leases.joints.clone();

@@ -14,7 +14,7 @@ use crate::arm::tcp_of;
 use crate::equipment::Equipment;
 use crate::inputs::pose_value;
 use crate::motions::failed;
-use crate::places::{Known, known};
+use crate::places::{KnownPlace, known};
 
 /// The core segments of things, and of how they stand to each other.
 const THINGS: &str = "ObjectInstances";
@@ -113,7 +113,7 @@ fn moving(
 }
 
 /// Whether a thing stands on another one: its middle is over it, and its underside on its upper side.
-fn stands_on(thing: &Known, below: &Known) -> bool {
+fn stands_on(thing: &KnownPlace, below: &KnownPlace) -> bool {
     let (half, size) = (thing.shape.size / 2.0, below.shape.size / 2.0);
     let at = below.shape.root_from_box.inverse() * Point3::from(thing.shape.root_from_box.translation.vector);
     let over = at.x.abs() < size.x && at.y.abs() < size.y;

@@ -6,7 +6,7 @@ use armarium_motion::{Imitation, Motion, Movement, PeriodicDmp, PeriodicDmpConfi
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, UnitQuaternion};
 
-use crate::motions::{Kept, failed};
+use crate::motions::{StoredMotion, failed};
 
 /// Time between two poses that are learned, s.
 const EVERY: f64 = 0.02;
@@ -47,13 +47,13 @@ impl LedWay {
     }
 
     /// What was learned.
-    pub(crate) fn learned(&self, name: &str) -> Result<Kept, Failure> {
+    pub(crate) fn learned(&self, name: &str) -> Result<StoredMotion, Failure> {
         let periodic = self.rhythm.result().filter(|_| self.rhythm.periods() >= REPEATED);
         match periodic {
-            Some((position, hz)) => Ok(Kept::Motion(Box::new(self.periodic(name, position, hz)?))),
+            Some((position, hz)) => Ok(StoredMotion::Motion(Box::new(self.periodic(name, position, hz)?))),
             None => {
                 let learned = Movement::learn(name, "root", EVERY, &self.poses, SOURCE);
-                Ok(Kept::Movement(Box::new(learned.map_err(failed)?)))
+                Ok(StoredMotion::Movement(Box::new(learned.map_err(failed)?)))
             }
         }
     }

@@ -11,7 +11,7 @@ use armarium_values::Value;
 const SEGMENT: &str = "Motions";
 
 /// A motion in memory: periodic, or a movement to a goal.
-pub(crate) enum Kept {
+pub(crate) enum StoredMotion {
     Motion(Box<Motion>),
     Movement(Box<Movement>),
 }
@@ -19,8 +19,8 @@ pub(crate) enum Kept {
 /// Reads the motion of a snapshot, which has to be periodic.
 pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
     match kept_in(snapshot)? {
-        Kept::Motion(motion) => Ok(*motion),
-        Kept::Movement(_) => Err(Failure::new(format!(
+        StoredMotion::Motion(motion) => Ok(*motion),
+        StoredMotion::Movement(_) => Err(Failure::new(format!(
             "the motion `{}` goes to a goal, and a periodic one is needed here; `PlayMotion` plays both",
             snapshot.id
         ))),
@@ -28,11 +28,11 @@ pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
 }
 
 /// Reads the motion of a snapshot.
-pub(crate) fn kept_in(snapshot: &Snapshot) -> Result<Kept, Failure> {
+pub(crate) fn kept_in(snapshot: &Snapshot) -> Result<StoredMotion, Failure> {
     let json = |name: &str| snapshot.attribute(name).map(Value::to_json);
     let kept = match (json("movement"), json("motion")) {
-        (Some(movement), _) => serde_json::from_value(movement).map(Kept::Movement),
-        (None, Some(motion)) => serde_json::from_value(motion).map(Kept::Motion),
+        (Some(movement), _) => serde_json::from_value(movement).map(StoredMotion::Movement),
+        (None, Some(motion)) => serde_json::from_value(motion).map(StoredMotion::Motion),
         (None, None) => return Err(Failure::new(format!("the entity `{}` holds no motion", snapshot.id))),
     };
     kept.map_err(|e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id)))
@@ -67,12 +67,12 @@ pub(crate) fn address(agent: &str, name: &str) -> Result<EntityId, Failure> {
 pub(crate) async fn keep(
     memory: &dyn Memory,
     id: &EntityId,
-    learned: &Kept,
+    learned: &StoredMotion,
     stamp_ns: u64,
 ) -> Result<(), Failure> {
     let movement = match learned {
-        Kept::Motion(motion) => return store(memory, id, motion, stamp_ns).await,
-        Kept::Movement(movement) => movement,
+        StoredMotion::Motion(motion) => return store(memory, id, motion, stamp_ns).await,
+        StoredMotion::Movement(movement) => movement,
     };
     let attributes = [
         ("name", Value::from(movement.name())),

@@ -73,7 +73,7 @@ impl Remembered<'_> {
 }
 
 /// What memory knows of where something is.
-pub(crate) struct Known {
+pub(crate) struct KnownPlace {
     pub(crate) shape: KnownBox,
     /// Its address, if it is a thing that a hand can take.
     pub(crate) thing: Option<EntityId>,
@@ -90,17 +90,18 @@ pub(crate) async fn places_at(
 
 /// What memory holds now of places and things, each with its extent. Things in a hand and what has no pose in the root frame are
 /// left out, and so are things whose class nobody knows.
-pub(crate) async fn known(remembered: Remembered<'_>) -> Result<Vec<Known>, Failure> {
+pub(crate) async fn known(remembered: Remembered<'_>) -> Result<Vec<KnownPlace>, Failure> {
     let memory = remembered.memory;
-    let mut all: Vec<Known> =
-        places(remembered).await?.into_iter().map(|shape| Known { shape, thing: None }).collect();
+    let mut all: Vec<KnownPlace> =
+        places(remembered).await?.into_iter().map(|shape| KnownPlace { shape, thing: None }).collect();
     for thing in memory.segment("ObjectInstances").await.map_err(failed)? {
         if thing.attribute("attached_to").is_some() {
             continue;
         }
         let Ok(class) = class_of(memory, &thing).await else { continue };
         all.extend(
-            shape(remembered, &thing, class.size).map(|shape| Known { shape, thing: Some(thing.id.clone()) }),
+            shape(remembered, &thing, class.size)
+                .map(|shape| KnownPlace { shape, thing: Some(thing.id.clone()) }),
         );
     }
     Ok(all)

@@ -74,14 +74,14 @@ pub(crate) struct Height {
 
 /// Where a motion is played.
 #[derive(Clone, Copy, Debug)]
-struct Stage {
+struct MotionFrame {
     /// From the motion's x and y and the height over the surface to the TCP.
     root_from_motion: Isometry3<f64>,
     /// The hand's orientation, if the motion has none.
     orientation: UnitQuaternion<f64>,
 }
 
-impl Stage {
+impl MotionFrame {
     /// On the surface through `middle` (root frame, m), where the TCP is in the middle of a motion with the centre x and y when
     /// the tool stands.
     fn new(surface: &Surface, middle: &Point3<f64>, tool: (&GraspedTool, &Unit<Vector3<f64>>)) -> Self {
@@ -110,7 +110,7 @@ impl Stage {
 pub(crate) struct Wiper {
     pub(crate) arm: LeasedArm,
     motion: MotionOwner,
-    stage: Stage,
+    stage: MotionFrame,
     /// The hand's rotation, if the motion has one.
     turning: Option<PeriodicOrientationDmp>,
     pace: f64,
@@ -132,7 +132,7 @@ impl Wiper {
         let here =
             Surface::known_under(equipment.remembered(), &stood_on.at(x, y)).await?.unwrap_or(stood_on);
         let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
-        let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
+        let stage = MotionFrame::new(&here, &middle, (tool, &stood_on.normal()));
         Self::new(arm, motion, stage, context)
     }
 
@@ -163,7 +163,7 @@ impl Wiper {
         })?;
         let middle = Point3::new(x, y, motion.motion().primitive().centre()[2]);
         let here = Surface::new(middle, Unit::new_normalize(fitted.normal()));
-        let stage = Stage::new(&here, &middle, (tool, &stood_on.normal()));
+        let stage = MotionFrame::new(&here, &middle, (tool, &stood_on.normal()));
         Ok((Self::new(arm, motion, stage, context)?, fitted))
     }
 
@@ -187,7 +187,7 @@ impl Wiper {
     fn new(
         arm: LeasedArm,
         motion: MotionOwner,
-        stage: Stage,
+        stage: MotionFrame,
         context: &SkillContext,
     ) -> Result<Self, Failure> {
         let turning = motion.motion().orientation().cloned();

@@ -58,7 +58,7 @@ pub trait FrameSource: Send + Sync {
 
 /// The poses of one frame in its parent.
 #[derive(Debug)]
-struct Track {
+struct TransformTrack {
     parent: Frame,
     /// By time; a single one at time 0 for a frame that never moves.
     samples: VecDeque<(u64, Isometry3<f64>)>,
@@ -68,7 +68,7 @@ struct Track {
 /// The buffer; see the module.
 #[derive(Default)]
 pub struct Transforms {
-    tracks: BTreeMap<Frame, Track>,
+    tracks: BTreeMap<Frame, TransformTrack>,
     sources: Vec<Arc<dyn FrameSource>>,
 }
 
@@ -121,7 +121,12 @@ impl Transforms {
         Ok(())
     }
 
-    fn track(&mut self, frame: &Frame, pose: &Pose, fixed: bool) -> Result<&mut Track, TransformError> {
+    fn track(
+        &mut self,
+        frame: &Frame,
+        pose: &Pose,
+        fixed: bool,
+    ) -> Result<&mut TransformTrack, TransformError> {
         let refused = |why| Err(TransformError::Refused { frame: frame.0.clone(), why });
         if !pose.position.iter().chain(&pose.orientation).all(|x| x.is_finite()) {
             return refused("a number of it is not finite");
@@ -141,7 +146,7 @@ impl Transforms {
                 }
             }
         }
-        let new = || Track { parent: pose.frame.clone(), samples: VecDeque::new(), fixed };
+        let new = || TransformTrack { parent: pose.frame.clone(), samples: VecDeque::new(), fixed };
         Ok(self.tracks.entry(frame.clone()).or_insert_with(new))
     }
 
@@ -223,7 +228,7 @@ impl Transforms {
     }
 }
 
-impl Track {
+impl TransformTrack {
     fn at(&self, frame: &Frame, stamp_ns: u64) -> Result<Isometry3<f64>, TransformError> {
         if self.fixed {
             return Ok(self.samples[0].1);

@@ -30,7 +30,7 @@ const MAX_QUEUED: usize = 64;
 
 /// What to look for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Look {
+pub(crate) enum LookFor {
     /// A hand and its gesture.
     Hand,
     /// The fingertips of a hand, followed.
@@ -43,7 +43,7 @@ pub(crate) enum Look {
     Environment,
 }
 
-impl Look {
+impl LookFor {
     fn processor(self, pair: StereoPair, color: [u8; 3]) -> Box<dyn ImageProcessor> {
         let calibration = pair.calibration();
         match self {

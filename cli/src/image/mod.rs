@@ -164,8 +164,8 @@ pub(crate) struct ProcessArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
     /// What to look for.
-    #[arg(long, value_enum, default_value_t = live::Look::Hand)]
-    pub(crate) look: live::Look,
+    #[arg(long, value_enum, default_value_t = live::LookFor::Hand)]
+    pub(crate) look: live::LookFor,
     /// The marker's colour in full light.
     #[arg(long, value_name = "R,G,B", default_value = "40,170,60", value_parser = crate::vision::color)]
     pub(crate) color: [u8; 3],

@@ -7,7 +7,7 @@ use armarium_memoryx::{Memory, Pattern, Query, RemoteMemory, Snapshot};
 use armarium_values::Value;
 use serde_json::json;
 
-use super::reach::{Reached, wall_clock_ns};
+use super::reach::{OpenedMemory, wall_clock_ns};
 use super::{Failure, MemoryArgs};
 
 /// What is followed of another agent.
@@ -20,8 +20,12 @@ struct Followed {
 
 /// Prints, for each agent that is followed, how many entities are behind, by how much, and how far apart the clocks are. Returns whether none is
 /// behind.
-pub(super) async fn lag(reached: &Reached, args: &MemoryArgs, out: &mut dyn Write) -> Result<bool, Failure> {
-    let Reached::Agent { session, .. } = reached else {
+pub(super) async fn lag(
+    reached: &OpenedMemory,
+    args: &MemoryArgs,
+    out: &mut dyn Write,
+) -> Result<bool, Failure> {
+    let OpenedMemory::Agent { session, .. } = reached else {
         return Err(Failure::Argument(
             "only a running agent follows others: give --agent instead of --store".into(),
         ));

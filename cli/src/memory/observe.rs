@@ -10,7 +10,7 @@ use clap::Args;
 use tokio::sync::mpsc;
 
 use super::Failure;
-use super::reach::Reached;
+use super::reach::OpenedMemory;
 use crate::stopped::stopped;
 
 /// Longest line, bytes.
@@ -27,13 +27,13 @@ pub(super) struct ObserveArgs {
 
 /// Reads observations from standard input until it ends, a line of JSON for each.
 pub(super) async fn observe(
-    reached: Reached,
+    reached: OpenedMemory,
     args: &ObserveArgs,
     out: &mut dyn Write,
 ) -> Result<u8, Failure> {
     let (memory, _session): (Arc<dyn Memory>, _) = match reached {
-        Reached::Agent { remote, session } => (Arc::new(remote), Some(session)),
-        Reached::File { memory, .. } => (memory, None),
+        OpenedMemory::Agent { remote, session } => (Arc::new(remote), Some(session)),
+        OpenedMemory::File { memory, .. } => (memory, None),
     };
     let updater = Updater::new(memory, &args.provider)?;
     let (to, mut lines) = mpsc::channel(WAITING);

@@ -6,7 +6,7 @@ use armarium_memoryx::{Pattern, Query, Snapshot};
 use armarium_values::Value;
 use armarium_viewer::report::{Curve, Panel, PanelRow, picture};
 
-use super::reach::Reached;
+use super::reach::OpenedMemory;
 use super::work::{id, unusable};
 use super::{Failure, PlotArgs};
 
@@ -14,7 +14,11 @@ use super::{Failure, PlotArgs};
 const HEIGHT: f64 = 360.0;
 
 /// Draws all versions that still exist, long-term memory included, against the time that they describe.
-pub(super) async fn plot(reached: &Reached, args: &PlotArgs, out: &mut dyn Write) -> Result<(), Failure> {
+pub(super) async fn plot(
+    reached: &OpenedMemory,
+    args: &PlotArgs,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
     let (entity, attribute) = args.what.rsplit_once('.').ok_or_else(|| {
         Failure::Argument(format!("`{}` is not SEGMENT/PROVIDER/ENTITY.ATTRIBUTE", args.what))
     })?;

@@ -15,12 +15,12 @@ use super::{Failure, MemoryArgs, MemoryCommand};
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 const MAX_SNAPSHOTS_PER_QUERY: usize = 4096;
 
-pub(super) enum Reached {
+pub(super) enum OpenedMemory {
     Agent { remote: RemoteMemory, session: Session },
     File { store: Arc<LongTermMemory>, memory: Arc<WorkingMemory> },
 }
 
-impl Reached {
+impl OpenedMemory {
     /// Opens the memory that the arguments name.
     pub(super) async fn open(args: &MemoryArgs) -> Result<Self, Failure> {
         if let Some(file) = &args.store {

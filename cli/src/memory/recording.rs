@@ -14,14 +14,14 @@ use armarium_viewer::recorder::{Recorder, RecorderError};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
 use super::Failure;
-use super::reach::Reached;
+use super::reach::OpenedMemory;
 use super::show::json_of;
 
 /// The quality of images that memory has raw.
 const JPEG_QUALITY: u8 = 85;
 
 /// Records all snapshots that match, and returns how many.
-pub(super) async fn record(reached: &Reached, pattern: Pattern, path: &Path) -> Result<u64, Failure> {
+pub(super) async fn record(reached: &OpenedMemory, pattern: Pattern, path: &Path) -> Result<u64, Failure> {
     let failed = |error: RecorderError| Failure::Refused(format!("`{}`: {error}", path.display()));
     let mut recorder = Recorder::create(path, BTreeMap::new()).map_err(failed)?;
     let mut first: Option<Snapshot> = None;

@@ -14,7 +14,7 @@ use armarium_memoryx::{
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
-use super::reach::Reached;
+use super::reach::OpenedMemory;
 use super::recording;
 use super::show::Printer;
 use super::{
@@ -30,7 +30,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
     if let MemoryCommand::Serve(command) = &args.command {
         return serve::serve(args, command, out).await;
     }
-    let reached = Reached::open(args).await?;
+    let reached = OpenedMemory::open(args).await?;
     let mut shown = Printer::new(args.json);
     match &args.command {
         MemoryCommand::Ls(of) => {
@@ -129,7 +129,12 @@ fn pattern(text: &str) -> Result<Pattern, Failure> {
     Ok(Pattern { segment: part(0), provider: part(1), entity: part(2) })
 }
 
-async fn get(reached: &Reached, get: &GetArgs, shown: &Printer, out: &mut dyn Write) -> Result<u8, Failure> {
+async fn get(
+    reached: &OpenedMemory,
+    get: &GetArgs,
+    shown: &Printer,
+    out: &mut dyn Write,
+) -> Result<u8, Failure> {
     let id = id(&get.id)?;
     let times = match (get.at, get.before) {
         (Some(at), _) => Times::At(at),
@@ -147,7 +152,7 @@ async fn get(reached: &Reached, get: &GetArgs, shown: &Printer, out: &mut dyn Wr
     Ok(0)
 }
 
-async fn put(reached: &Reached, put: &PutArgs, args: &MemoryArgs) -> Result<u64, Failure> {
+async fn put(reached: &OpenedMemory, put: &PutArgs, args: &MemoryArgs) -> Result<u64, Failure> {
     let id = id(&put.id)?;
     let mut attributes = BTreeMap::new();
     for set in &put.set {
@@ -200,7 +205,7 @@ fn value(name: &str, text: &str) -> Result<Value, Failure> {
 }
 
 async fn watch(
-    reached: &Reached,
+    reached: &OpenedMemory,
     watch: &WatchArgs,
     shown: &mut Printer,
     out: &mut dyn Write,
@@ -239,7 +244,7 @@ async fn watch(
 
 /// The newest snapshots of the entities that have changed last, in the order of their arrival.
 async fn changed_last(
-    reached: &Reached,
+    reached: &OpenedMemory,
     pattern: &Pattern,
     count: usize,
 ) -> Result<Vec<Arc<Snapshot>>, Failure> {
@@ -257,7 +262,12 @@ async fn changed_last(
 }
 
 /// Shows what each owner takes and has written in the last second, again and again.
-async fn top(reached: &Reached, once: bool, shown: &mut Printer, out: &mut dyn Write) -> Result<(), Failure> {
+async fn top(
+    reached: &OpenedMemory,
+    once: bool,
+    shown: &mut Printer,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
     let mut before = reached.maintain(Maintain::Usage).await?.counts;
     loop {
         tokio::select! {
@@ -276,7 +286,7 @@ async fn top(reached: &Reached, once: bool, shown: &mut Printer, out: &mut dyn W
 }
 
 /// Commits and removes an entity of this command's own. Returns how long that took, us.
-async fn health(reached: &Reached, args: &MemoryArgs) -> Result<u64, Failure> {
+async fn health(reached: &OpenedMemory, args: &MemoryArgs) -> Result<u64, Failure> {
     let provider = args.writer.as_deref().unwrap_or(LOCAL);
     let id = EntityId::new("Health", provider, "check")?;
     let start = tokio::time::Instant::now();
@@ -318,7 +328,7 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], Failure> {
     numbers.collect::<Result<Vec<_>, _>>()?.try_into().map_err(|_| wrong())
 }
 
-async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
+async fn export(reached: &OpenedMemory, export: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
     let pattern = pattern(&export.pattern.pattern)?;
     if let Some(path) = export.output.as_ref().filter(|path| path.extension().is_some_and(|e| e == "mcap")) {
         let count = recording::record(reached, pattern, path).await?;
@@ -332,7 +342,7 @@ async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> 
         Some(file) => file,
         None => out,
     };
-    if let Reached::File { store, .. } = reached {
+    if let OpenedMemory::File { store, .. } = reached {
         // Continues past damaged parts.
         store.export(&pattern, &mut &mut *to)?;
         return Ok(());
@@ -350,7 +360,7 @@ pub(super) fn unusable(path: &Path, error: &io::Error) -> Failure {
     Failure::Argument(format!("`{}` cannot be used: {error}", path.display()))
 }
 
-async fn import(reached: &Reached, file: &Path) -> Result<BTreeMap<String, u64>, Failure> {
+async fn import(reached: &OpenedMemory, file: &Path) -> Result<BTreeMap<String, u64>, Failure> {
     let mut lines: Box<dyn BufRead + Send> = if file == Path::new("-") {
         Box::new(BufReader::new(io::stdin()))
     } else {

@@ -73,7 +73,7 @@ fn drive(
     let check = StepCheck::new(program, &registry);
     // A program that drives a chart through pipes sees what became of each event.
     let strict = args.events.as_ref().is_some_and(|events| events.as_os_str() != "-");
-    let mut refused = Refused { err, strict, any: false };
+    let mut refused = RefusedEvents { err, strict, any: false };
     if args.interactive {
         interactive::run(&mut stepper, &check, &mut io::stdin().lock(), out)?;
     } else if args.quiet {
@@ -93,7 +93,7 @@ fn follow(
     stepper: &mut Stepper,
     check: &StepCheck<'_>,
     out: &mut dyn Write,
-    refused: &mut Refused<'_>,
+    refused: &mut RefusedEvents<'_>,
 ) -> Result<(), Failure> {
     let Some(events) = &args.events else { return Ok(()) };
     if args.repeat == 1 {
@@ -118,7 +118,7 @@ fn follow(
 }
 
 /// Events that the chart does not take: each is said, and the list goes on as a run would, which refuses them to their sender.
-struct Refused<'e> {
+struct RefusedEvents<'e> {
     err: &'e mut dyn Write,
     /// Whether they are errors.
     strict: bool,
@@ -126,7 +126,7 @@ struct Refused<'e> {
     any: bool,
 }
 
-impl Refused<'_> {
+impl RefusedEvents<'_> {
     fn unless<E: std::fmt::Display>(&mut self, line: usize, result: Result<(), E>) -> io::Result<()> {
         let Err(why) = result else { return Ok(()) };
         self.any |= self.strict;
@@ -142,7 +142,7 @@ fn measure(
     stepper: &mut Stepper,
     check: &StepCheck<'_>,
     out: &mut dyn Write,
-    refused: &mut Refused<'_>,
+    refused: &mut RefusedEvents<'_>,
 ) -> Result<(), Failure> {
     let mut list =
         args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check, refused))?;
@@ -170,7 +170,7 @@ fn measure(
 fn read_all(
     events: &PathBuf,
     check: &StepCheck<'_>,
-    refused: &mut Refused<'_>,
+    refused: &mut RefusedEvents<'_>,
 ) -> Result<Vec<(usize, line::InputLine)>, Failure> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
@@ -186,7 +186,7 @@ fn checked(
     number: usize,
     text: &str,
     check: &StepCheck<'_>,
-    refused: &mut Refused<'_>,
+    refused: &mut RefusedEvents<'_>,
 ) -> Result<Option<line::InputLine>, Failure> {
     let input = line::read(text).map_err(|e| wrong(number, &e))?;
     match input.as_ref().map_or(Ok(()), |input| check.check(&input.step())) {

@@ -13,7 +13,7 @@ use lsp_types::{
     MarkupContent, MarkupKind, Position, TextEdit, Uri,
 };
 
-use crate::cursor::{Cursor, PathStep, Place};
+use crate::cursor::{Cursor, CursorPlace, PathStep};
 use crate::kind::FileKind;
 use crate::schemas::Forms;
 use crate::scope::{Scope, shown};
@@ -75,7 +75,7 @@ impl Workspace {
         // A file that does not say yet what it is begins like a chart, or with the key of another kind.
         let kind = document.kind.unwrap_or(FileKind::Chart);
         let nothing_else = cursor.path.is_empty() && cursor.siblings(source).is_empty();
-        if document.kind.is_none() && !(nothing_else && cursor.place == Place::Key) {
+        if document.kind.is_none() && !(nothing_else && cursor.place == CursorPlace::Key) {
             return Vec::new();
         }
         let completing = Completing {
@@ -108,7 +108,7 @@ struct Completing<'w> {
 impl Completing<'_> {
     fn at(&self, cursor: &Cursor) -> Vec<CompletionItem> {
         let (proposals, span) = match cursor.place {
-            Place::Key => {
+            CursorPlace::Key => {
                 let mut proposals = self.keys(cursor);
                 // An item of a list may be a value, too.
                 if cursor.path.last() == Some(&PathStep::Item) {
@@ -116,7 +116,7 @@ impl Completing<'_> {
                 }
                 (proposals, self.key_span(cursor))
             }
-            Place::Value => self.values(cursor),
+            CursorPlace::Value => self.values(cursor),
         };
         proposals.into_iter().take(MAX_ITEMS).map(|proposal| self.item(proposal, span)).collect()
     }

@@ -98,7 +98,7 @@ const PART: usize = 1000;
 
 /// What is known of the last stored snapshot of an entity.
 #[derive(Clone, Debug)]
-struct Kept {
+struct StoredVersion {
     version: u64,
     referenced_ns: u64,
     arrived_ns: u64,
@@ -107,7 +107,7 @@ struct Kept {
     content: Option<[u8; 32]>,
 }
 
-impl Kept {
+impl StoredVersion {
     fn of(snapshot: &Snapshot, policy: &Policy) -> Self {
         Self {
             version: snapshot.version,
@@ -129,7 +129,7 @@ fn content(snapshot: &Snapshot) -> [u8; 32] {
 /// The last stored snapshot of an entity, and a newer one that may still have to be stored.
 #[derive(Clone, Debug, Default)]
 struct LastStored {
-    kept: Option<Kept>,
+    kept: Option<StoredVersion>,
     /// Working memory has it, too, so that this takes nothing.
     pending: Option<Arc<Snapshot>>,
     /// The last version that is noted as given on disk, and the last that was given.
@@ -203,14 +203,14 @@ impl Consolidator {
                 Some(known) => known,
                 None => {
                     let newest = self.store.newest(&snapshot.id)?;
-                    let kept = newest.map(|newest| Kept::of(&newest, policy));
+                    let kept = newest.map(|newest| StoredVersion::of(&newest, policy));
                     LastStored { kept, ..LastStored::default() }
                 }
             };
             known.given = snapshot.version;
             if policy.keeps(snapshot, known.kept.as_ref()) {
                 chosen.push(self.policies.as_kept(snapshot));
-                (known.kept, known.pending) = (Some(Kept::of(snapshot, policy)), None);
+                (known.kept, known.pending) = (Some(StoredVersion::of(snapshot, policy)), None);
             } else if matches!(policy, Policy::AtMost { .. }) {
                 known.pending = Some(Arc::clone(snapshot));
             }
@@ -280,7 +280,7 @@ impl Consolidator {
         })
     }
 
-    fn flush_if(&self, is_due: impl Fn(f64, Option<&Kept>) -> bool) -> Result<u64, StoreError> {
+    fn flush_if(&self, is_due: impl Fn(f64, Option<&StoredVersion>) -> bool) -> Result<u64, StoreError> {
         let is_held = |id: &EntityId, last: &LastStored| match self.policies.of(id.segment()) {
             Policy::AtMost { hz } => last.pending.is_some() && is_due(*hz, last.kept.as_ref()),
             _ => false,
@@ -297,7 +297,7 @@ impl Consolidator {
             for snapshot in &held {
                 if let Some(last) = state.last.get_mut(&snapshot.id) {
                     let policy = self.policies.of(snapshot.id.segment());
-                    (last.kept, last.pending) = (Some(Kept::of(snapshot, policy)), None);
+                    (last.kept, last.pending) = (Some(StoredVersion::of(snapshot, policy)), None);
                 }
             }
             flushed += held.len() as u64;
@@ -322,7 +322,7 @@ impl Policy {
         matches!(self, Self::Everything | Self::Named(_))
     }
 
-    fn keeps(&self, snapshot: &Snapshot, kept: Option<&Kept>) -> bool {
+    fn keeps(&self, snapshot: &Snapshot, kept: Option<&StoredVersion>) -> bool {
         let Some(kept) = kept else { return !matches!(self, Self::Nothing) };
         match self {
             Self::Nothing | Self::Everything | Self::Named(_) => self.keeps_all(),

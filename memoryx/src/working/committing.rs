@@ -11,7 +11,7 @@ use std::thread::JoinHandle;
 
 use super::content::{Content, Usage, bytes_of, owner};
 use super::{CommitResult, Core};
-use crate::changes::Told;
+use crate::changes::PublishedSnapshot;
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
@@ -143,7 +143,7 @@ impl Core {
         let before = std::mem::replace(&mut *self.content.write(), Arc::new(next));
         for snapshot in new {
             // Having no receiver is not an error.
-            let _ = self.changes.send(Told::of(snapshot));
+            let _ = self.changes.send(PublishedSnapshot::of(snapshot));
         }
         drop(before);
     }

@@ -18,7 +18,7 @@ use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
 
-use crate::changes::{Changes, Told};
+use crate::changes::{Changes, PublishedSnapshot};
 use crate::checked_query::Answer;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -144,7 +144,7 @@ struct Core {
     limits: MemoryLimits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
-    changes: broadcast::Sender<Told>,
+    changes: broadcast::Sender<PublishedSnapshot>,
     /// Locked by whoever commits, also during the backing's write.
     writer: Mutex<WriterState>,
     /// The present content. The lock is held only while the pointer is copied or replaced.

@@ -28,7 +28,7 @@ struct Chain {
 
 /// What was found.
 #[derive(Debug, Default)]
-struct Found {
+struct FoundLimbs {
     /// The joints that all limbs hang on, and how many limbs hang on each of these trunks.
     trunks: Vec<Vec<usize>>,
     /// Each limb with the index of its trunk.
@@ -48,7 +48,7 @@ struct Guesser<'a> {
 /// The text of a robot file.
 pub(super) fn robot_file(name: &str, urdf: &str, packages: &[String], tree: &Tree) -> String {
     let guesser = Guesser::new(tree);
-    let mut found = Found::default();
+    let mut found = FoundLimbs::default();
     for first in (0..tree.joints.len()).filter(|&joint| guesser.before(joint).is_none()) {
         guesser.walk(first, Vec::new(), None, &mut found);
     }
@@ -161,7 +161,7 @@ impl<'a> Guesser<'a> {
         all
     }
 
-    fn walk(&self, joint: usize, mut chain: Vec<usize>, trunk: Option<usize>, found: &mut Found) {
+    fn walk(&self, joint: usize, mut chain: Vec<usize>, trunk: Option<usize>, found: &mut FoundLimbs) {
         chain.push(joint);
         let long: Vec<usize> = self.next[joint].iter().copied().filter(|&next| self.is_long(next)).collect();
         if long.len() >= 2 {
@@ -284,7 +284,7 @@ impl<'a> Guesser<'a> {
         joints.iter().map(|&joint| quoted(&self.tree.joints[joint].name)).collect::<Vec<_>>().join(", ")
     }
 
-    fn write(&self, (name, urdf, packages): (&str, &str, &[String]), found: &Found) -> String {
+    fn write(&self, (name, urdf, packages): (&str, &str, &[String]), found: &FoundLimbs) -> String {
         let mut text =
             "# Written by `armarium robot new`. What it guessed is marked: look at it.\n".to_owned();
         text += &head(name, urdf, packages);

@@ -19,7 +19,7 @@ const MAX_NAME: usize = 200;
 
 /// Why a claim or targets are refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum Refused {
+pub(super) enum GateRefusal {
     #[error("it is commanded by `{by}`")]
     Commanded { by: String },
     #[error("a commander has a name of 1 to {MAX_NAME} bytes, a caller one of at most so many")]
@@ -74,7 +74,7 @@ pub(super) struct Gate {
     /// The targets that were taken and not been fetched yet.
     taken: Option<JointTargets>,
     /// Why targets were refused.
-    refused: Option<Refused>,
+    refused: Option<GateRefusal>,
 }
 
 impl Gate {
@@ -96,7 +96,7 @@ impl Gate {
     }
 
     /// A sample is about to be sent. Returns whether its joints have braked by themselves, and why targets were refused.
-    pub(super) fn begin_sample(&mut self, number: u64, now_ns: u64) -> (bool, Option<Refused>) {
+    pub(super) fn begin_sample(&mut self, number: u64, now_ns: u64) -> (bool, Option<GateRefusal>) {
         self.newest = number;
         let silent =
             self.commander.as_ref().is_none_or(|by| now_ns.saturating_sub(by.heard_ns) > WATCHDOG_NS);
@@ -112,13 +112,13 @@ impl Gate {
     }
 
     /// Somebody asks for the right to send targets.
-    pub(super) fn claim(&mut self, claim: Claim, now_ns: u64) -> Result<(), Refused> {
+    pub(super) fn claim(&mut self, claim: Claim, now_ns: u64) -> Result<(), GateRefusal> {
         if claim.commander.is_empty() || claim.commander.len().max(claim.caller.len()) > MAX_NAME {
-            return Err(Refused::Name);
+            return Err(GateRefusal::Name);
         }
         let other = self.commander.as_ref().filter(|by| by.id != claim.commander);
         if let Some(by) = other.filter(|by| now_ns.saturating_sub(by.heard_ns) <= SILENCE_NS) {
-            return Err(Refused::Commanded { by: by.caller.clone() });
+            return Err(GateRefusal::Commanded { by: by.caller.clone() });
         }
         self.claims += 1;
         self.commander = Some(Commander { id: claim.commander, caller: claim.caller, heard_ns: now_ns });
@@ -161,7 +161,7 @@ impl Gate {
     }
 
     /// Something else than targets has come in their place.
-    pub(super) fn refuse(&mut self, reason: Refused) {
+    pub(super) fn refuse(&mut self, reason: GateRefusal) {
         self.refused = Some(reason);
     }
 
@@ -170,23 +170,25 @@ impl Gate {
         self.taken.take()
     }
 
-    fn check(&self, targets: &WireTargets) -> Result<(), Refused> {
+    fn check(&self, targets: &WireTargets) -> Result<(), GateRefusal> {
         let WireTargets { commander, epoch, number, position, velocity } = targets;
-        let by = self.commander.as_ref().ok_or(Refused::NotClaimed)?;
+        let by = self.commander.as_ref().ok_or(GateRefusal::NotClaimed)?;
         let (number, joints, age) = (*number, self.joints, self.newest.saturating_sub(*number));
         let age_ns = age.saturating_mul(self.period_ns);
-        let shape = || Refused::Shape { positions: position.len(), velocities: velocity.len(), joints };
+        let shape = || GateRefusal::Shape { positions: position.len(), velocities: velocity.len(), joints };
         match () {
-            () if by.id != *commander => Err(Refused::Stranger { by: by.caller.clone() }),
-            () if *epoch != self.epoch => Err(Refused::Epoch),
-            () if number > self.newest => Err(Refused::Ahead { number }),
+            () if by.id != *commander => Err(GateRefusal::Stranger { by: by.caller.clone() }),
+            () if *epoch != self.epoch => Err(GateRefusal::Epoch),
+            () if number > self.newest => Err(GateRefusal::Ahead { number }),
             () if self.answered.is_some_and(|answered| number <= answered) => {
-                Err(Refused::Answered { number })
+                Err(GateRefusal::Answered { number })
             }
-            () if age_ns > WATCHDOG_NS => Err(Refused::Late { age_ms: age_ns / 1_000_000 }),
-            () if self.braked_since.is_some_and(|since| number < since) => Err(Refused::Braked),
+            () if age_ns > WATCHDOG_NS => Err(GateRefusal::Late { age_ms: age_ns / 1_000_000 }),
+            () if self.braked_since.is_some_and(|since| number < since) => Err(GateRefusal::Braked),
             () if position.len() != joints || velocity.len() != joints => Err(shape()),
-            () if !position.iter().chain(velocity).all(|value| value.is_finite()) => Err(Refused::NotFinite),
+            () if !position.iter().chain(velocity).all(|value| value.is_finite()) => {
+                Err(GateRefusal::NotFinite)
+            }
             () => Ok(()),
         }
     }

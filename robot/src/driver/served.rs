@@ -12,7 +12,7 @@ use parking_lot::{Condvar, Mutex};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::gate::{Gate, Refused, WATCHDOG_NS};
+use super::gate::{Gate, GateRefusal, WATCHDOG_NS};
 use super::wire::{Claim, Description, DriverRefusal, Keys, Release, WireSample, WireTargets};
 use super::{Driver, DriverClock, DriverError, TimedSample};
 use crate::message::{read, wire_pose, written};
@@ -33,7 +33,7 @@ pub struct DriverServer {
 
 /// What the thread, the link's threads and those who claim share.
 #[derive(Debug)]
-struct Shared {
+struct ServedDriver {
     gate: Mutex<Gate>,
     arrived: Condvar,
     began: Instant,
@@ -66,7 +66,7 @@ impl DriverServer {
         };
         let gate = Gate::new(described.joints.len(), clock, period.as_nanos() as u64, described.epoch);
         let (gate, arrived, began) = (Mutex::new(gate), Condvar::new(), Instant::now());
-        let shared = Arc::new(Shared { gate, arrived, began, described });
+        let shared = Arc::new(ServedDriver { gate, arrived, began, described });
         let sender = session.control_sender(&keys.sample, &WireSample::SCHEMA.encoding()).await;
         let sender = sender.map_err(unreachable)?;
         let taking = Arc::clone(&shared);
@@ -99,7 +99,7 @@ impl Drop for DriverServer {
     }
 }
 
-impl Shared {
+impl ServedDriver {
     fn now_ns(&self) -> u64 {
         self.began.elapsed().as_nanos() as u64
     }
@@ -124,7 +124,7 @@ impl Shared {
     }
 
     /// A question without a payload changes nothing.
-    fn claimed(&self, query: &IncomingQuery) -> Result<(), Refused> {
+    fn claimed(&self, query: &IncomingQuery) -> Result<(), GateRefusal> {
         let IncomingQuery { encoding, payload, .. } = query;
         if payload.is_empty() {
             return Ok(());

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use armarium_bus::{Payload as _, Session, SessionConfig};
 use tokio::runtime::{Builder, Runtime};
 
-use super::gate::{Gate, Refused};
+use super::gate::{Gate, GateRefusal};
 use super::wire::{Claim, Keys, WireSample, WireTargets};
 use super::{
     Driver, DriverClock, DriverError, DriverServer, DryDriver, GuardedDriver, RemoteDriver, TimedSample,
@@ -539,9 +539,9 @@ fn after_it_has_braked_only_who_knows_that_commands() {
 #[test]
 fn a_driver_has_one_commander_until_he_is_silent() {
     let mut gate = gate();
-    assert_eq!(gate.claim(claim("b"), 1000 * MS), Err(Refused::Commanded { by: "a".into() }));
+    assert_eq!(gate.claim(claim("b"), 1000 * MS), Err(GateRefusal::Commanded { by: "a".into() }));
     for nobody in ["", &"x".repeat(201)] {
-        assert_eq!(gate.claim(claim(nobody), 5000 * MS), Err(Refused::Name));
+        assert_eq!(gate.claim(claim(nobody), 5000 * MS), Err(GateRefusal::Name));
     }
     assert_eq!(gate.claim(claim("a"), 1000 * MS), Ok(()), "who asks again has it still");
     assert_eq!(gate.claim(claim("b"), 2002 * MS), Ok(()));

@@ -39,14 +39,14 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// A robot whose guard is in another process.
 #[derive(Debug)]
 pub struct RemoteRobot {
-    shared: Arc<Shared>,
+    shared: Arc<RobotConnection>,
     /// The lease's end where this process ends.
     _token: AliveToken,
     _states: ControlReader,
     watching: JoinHandle<()>,
 }
 
-struct Shared {
+struct RobotConnection {
     name: String,
     model: Arc<Model>,
     session: Session,
@@ -95,9 +95,9 @@ enum AskError {
     Other { robot: String, what: &'static str },
 }
 
-impl fmt::Debug for Shared {
+impl fmt::Debug for RobotConnection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Shared").field("name", &self.name).finish_non_exhaustive()
+        f.debug_struct("RobotConnection").field("name", &self.name).finish_non_exhaustive()
     }
 }
 
@@ -142,7 +142,7 @@ impl RemoteRobot {
             velocity: vec![0.0; model.joints().len()],
             wrenches: vec![SensedWrench::default(); model.wrenches().len()],
         };
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(RobotConnection {
             name: format!("{agent}/{name}"),
             model: Arc::clone(model),
             session: session.clone(),
@@ -207,7 +207,7 @@ fn answer<T: Payload>(asked: Reply) -> Result<T, AskError> {
     }
 }
 
-impl Shared {
+impl RobotConnection {
     /// A message on the key of states, on a thread of the link.
     fn take(&self, message: &Message) {
         if self.lost.lock().is_some() {
@@ -362,7 +362,7 @@ impl Robot for RemoteRobot {
 /// The commander of a lease of a robot in another process.
 #[derive(Debug)]
 struct RemoteCommander {
-    shared: Arc<Shared>,
+    shared: Arc<RobotConnection>,
     limbs: Vec<Limb>,
     /// Its secret.
     lease: String,

@@ -58,7 +58,7 @@ struct Held {
     last: Option<u64>,
 }
 
-struct Shared {
+struct ServedRobot {
     robot: Arc<dyn Robot>,
     session: Session,
     described: RobotDescription,
@@ -87,7 +87,7 @@ impl RobotServer {
         let keys = Keys::of(agent, name)?;
         let described = RobotDescription::of(robot.model(), session.now_ns());
         let states = session.control_sender(&keys.state, &RobotState::SCHEMA.encoding()).await?;
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ServedRobot {
             robot,
             session: session.clone(),
             described,
@@ -117,7 +117,7 @@ impl RobotServer {
     }
 }
 
-impl Shared {
+impl ServedRobot {
     /// Sends each state until the robot ends, and that last one.
     async fn publish(self: Arc<Self>, states: ControlSender) {
         let mut sensed = self.robot.sensed();

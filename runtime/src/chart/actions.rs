@@ -9,18 +9,22 @@ use armarium_values::expr::nearest;
 
 use super::compile::Compiler;
 use super::model::{self, ActionKind};
-use super::scope::Site;
+use super::scope::ExprSite;
 use super::symbols::Symbol;
 use crate::program::{Action, Pattern, Send, StateId, Term, Transition};
 
 impl<'t> Compiler<'t> {
-    pub(super) fn transition(&mut self, at: &Site<'t>, model: &'t model::WrittenTransition) -> Transition {
+    pub(super) fn transition(
+        &mut self,
+        at: &ExprSite<'t>,
+        model: &'t model::WrittenTransition,
+    ) -> Transition {
         let targets: Vec<StateId> =
             model.targets.iter().filter_map(|target| self.target(at, target)).collect();
         self.together(at, &targets, &model.targets);
         let event = model.event.as_ref();
         let event_data = event.and_then(|event| self.event_types.get(&event.text));
-        let site = &Site { event_data, ..at.clone() };
+        let site = &ExprSite { event_data, ..at.clone() };
         let guard = model.guard.as_ref().and_then(|node| self.condition(site, node));
         let delay = model.delay.as_ref().and_then(|node| self.delay(site, node));
         let with = match targets.as_slice() {
@@ -54,13 +58,13 @@ impl<'t> Compiler<'t> {
     }
 
     /// A time that is waited for: as long as `node` says.
-    fn delay(&mut self, site: &Site<'_>, node: &Node) -> Option<Term> {
+    fn delay(&mut self, site: &ExprSite<'_>, node: &Node) -> Option<Term> {
         let term = self.value(site, node, &Type::Duration)?;
         self.not_negative(site, node, &term);
         Some(term)
     }
 
-    pub(super) fn actions(&mut self, site: &Site<'_>, actions: &[model::WrittenAction]) -> Vec<Action> {
+    pub(super) fn actions(&mut self, site: &ExprSite<'_>, actions: &[model::WrittenAction]) -> Vec<Action> {
         let mut compiled = Vec::new();
         for action in actions {
             let place = site.place(action.span);
@@ -120,7 +124,7 @@ impl<'t> Compiler<'t> {
     }
 
     /// What goes with an event, held against what the event declares.
-    fn data_of(&mut self, site: &Site<'_>, event: &Named, data: Option<&Node>) -> Option<Term> {
+    fn data_of(&mut self, site: &ExprSite<'_>, event: &Named, data: Option<&Node>) -> Option<Term> {
         let declared = self.event_types.get(&event.text);
         if let (None, Some(Type::Record(fields))) = (data, declared)
             && !fields.is_empty()
@@ -132,7 +136,7 @@ impl<'t> Compiler<'t> {
         data.and_then(|node| self.value(site, node, declared.unwrap_or(&Type::Any)))
     }
 
-    fn assign(&mut self, site: &Site<'_>, name: &Named, node: &Node) -> Option<Action> {
+    fn assign(&mut self, site: &ExprSite<'_>, name: &Named, node: &Node) -> Option<Action> {
         let instance = self.tree.instance(site.state);
         let (kind, variable) = name.text.split_once('.').unwrap_or(("", name.text.as_str()));
         let declared = match kind {

@@ -18,7 +18,7 @@ use super::lint::lint;
 use super::literals::negative_time;
 use super::model::{self, Chart};
 use super::names::unknown_names;
-use super::scope::{ChartNames, Scope, Site};
+use super::scope::{ChartNames, ExprSite, Scope};
 use super::suspicious::suspicious;
 use super::symbols::{Collector, HeadSection, SkillPart, Symbol};
 use crate::observed::{MemoryPattern, ObservedPattern};
@@ -194,7 +194,7 @@ impl<'t> Compiler<'t> {
 
     pub(super) fn error(
         &mut self,
-        site: &Site<'_>,
+        site: &ExprSite<'_>,
         code: &'static str,
         at: &Named,
         message: String,
@@ -206,7 +206,7 @@ impl<'t> Compiler<'t> {
     /// Adds an error about a name that stands for nothing, with the nearest of `known` as its remedy.
     pub(super) fn unknown<'n>(
         &mut self,
-        site: &Site<'_>,
+        site: &ExprSite<'_>,
         code: &'static str,
         at: &Named,
         message: String,
@@ -252,7 +252,7 @@ impl<'t> Compiler<'t> {
             (state.retry, state.unbreakable) = (None, false);
             return state;
         }
-        let site = &Site { state: id, source: flat.source, bound: Vec::new(), event_data: None };
+        let site = &ExprSite { state: id, source: flat.source, bound: Vec::new(), event_data: None };
         state.kind = self.kind(site, &flat.inside, &model.kind);
         state.with = self.bindings(site, id, &model.with);
         state.enter = self.actions(site, &model.enter);
@@ -276,7 +276,7 @@ impl<'t> Compiler<'t> {
         state
     }
 
-    fn kind(&mut self, site: &Site<'t>, inside: &Inside<'_>, model: &'t model::WrittenKind) -> Kind {
+    fn kind(&mut self, site: &ExprSite<'t>, inside: &Inside<'_>, model: &'t model::WrittenKind) -> Kind {
         match (inside, model) {
             (Inside::Skill(manifest), _) => {
                 manifest.outcomes.iter().for_each(|outcome| {
@@ -302,20 +302,20 @@ impl<'t> Compiler<'t> {
         }
     }
 
-    pub(super) fn value(&mut self, site: &Site<'_>, node: &Node, ty: &Type) -> Option<Term> {
+    pub(super) fn value(&mut self, site: &ExprSite<'_>, node: &Node, ty: &Type) -> Option<Term> {
         self.reporting(site.source, |this, findings| {
             expressions::value(node, ty, &Scope::new(&this.names, site), findings)
         })
     }
 
-    pub(super) fn condition(&mut self, site: &Site<'_>, node: &Node) -> Option<Code> {
+    pub(super) fn condition(&mut self, site: &ExprSite<'_>, node: &Node) -> Option<Code> {
         self.reporting(site.source, |this, findings| {
             expressions::condition(node, &Scope::new(&this.names, site), findings)
         })
     }
 
     /// Compiles a value that is given to a parameter; a literal must be within its bounds.
-    pub(super) fn given(&mut self, site: &Site<'_>, node: &Node, to: &Parameter) -> Option<Term> {
+    pub(super) fn given(&mut self, site: &ExprSite<'_>, node: &Node, to: &Parameter) -> Option<Term> {
         let term = self.value(site, node, &to.ty)?;
         if let Term::Literal(value) = &term
             && let Err(error) = to.accept(value.clone())
@@ -327,7 +327,7 @@ impl<'t> Compiler<'t> {
     }
 
     /// Refuses a time below 0, also one that an expression gives whatever happens.
-    pub(super) fn not_negative(&mut self, site: &Site<'_>, node: &Node, term: &Term) {
+    pub(super) fn not_negative(&mut self, site: &ExprSite<'_>, node: &Node, term: &Term) {
         let seconds = match term {
             Term::Literal(value) => value.as_f64(),
             Term::Expr(code) => code.expr.constant().and_then(|value| value.as_f64()),
@@ -341,7 +341,7 @@ impl<'t> Compiler<'t> {
     /// Compiles a `with` that is written at `site` and given to `target`.
     pub(super) fn bindings(
         &mut self,
-        site: &Site<'_>,
+        site: &ExprSite<'_>,
         target: StateId,
         with: &[(Named, Node)],
     ) -> Vec<Binding> {
@@ -401,7 +401,7 @@ impl<'t> Compiler<'t> {
         bindings
     }
 
-    fn watch(&mut self, site: &Site<'_>, watch: &model::WrittenWatch) -> Option<Watch> {
+    fn watch(&mut self, site: &ExprSite<'_>, watch: &model::WrittenWatch) -> Option<Watch> {
         let condition = self.condition(site, &watch.condition);
         let until = watch.until.as_ref().and_then(|node| self.condition(site, node));
         let name = self.event_names.intern(&watch.name.text);

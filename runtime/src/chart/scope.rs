@@ -62,7 +62,7 @@ impl<'c> ChartNames<'c> {
     }
 
     /// Says that `section.name`, as it is written in a file, is what the chart around declares.
-    pub(super) fn refer_declared(&self, site: &Site<'_>, at: Span, written: &str, name: &str) {
+    pub(super) fn refer_declared(&self, site: &ExprSite<'_>, at: Span, written: &str, name: &str) {
         self.refer(site.source, self.last_part(site, at, written), || {
             let (section, _) = written.split_once('.')?;
             let chart = self.tree.chart_of(site.state).to_owned();
@@ -70,7 +70,7 @@ impl<'c> ChartNames<'c> {
         });
     }
 
-    fn last_part(&self, site: &Site<'_>, at: Span, written: &str) -> Span {
+    fn last_part(&self, site: &ExprSite<'_>, at: Span, written: &str) -> Span {
         if self.collector.is_none() {
             return at;
         }
@@ -131,7 +131,7 @@ impl<'c> ChartNames<'c> {
 
 /// Where an expression stands: its state, the event that it answers, the loops around it.
 #[derive(Clone, Debug)]
-pub(super) struct Site<'t> {
+pub(super) struct ExprSite<'t> {
     pub(super) state: StateId,
     pub(super) source: u32,
     /// Loop variables, innermost last.
@@ -140,7 +140,7 @@ pub(super) struct Site<'t> {
     pub(super) event_data: Option<&'t Type>,
 }
 
-impl Site<'_> {
+impl ExprSite<'_> {
     /// `span` in the site's file.
     pub(super) fn place(&self, span: Span) -> SourcePlace {
         SourcePlace { source: self.source, byte: number(span.start) }
@@ -150,13 +150,13 @@ impl Site<'_> {
 /// The scope of one expression.
 pub(super) struct Scope<'s, 'c> {
     pub(super) names: &'s ChartNames<'c>,
-    pub(super) site: &'s Site<'s>,
+    pub(super) site: &'s ExprSite<'s>,
     /// What the names of the expression stand for, each with its place in the expression.
     pub(super) found: RefCell<Vec<(usize, usize, Symbol)>>,
 }
 
 impl<'s, 'c> Scope<'s, 'c> {
-    pub(super) fn new(names: &'s ChartNames<'c>, site: &'s Site<'s>) -> Self {
+    pub(super) fn new(names: &'s ChartNames<'c>, site: &'s ExprSite<'s>) -> Self {
         Self { names, site, found: RefCell::default() }
     }
 }

@@ -26,7 +26,7 @@ pub(super) fn suspicious(program: &Program, tree: &Tree<'_>, library: &Library) 
     search.restless();
     let mut findings = search.findings;
     let reached = reached(program);
-    let taken = Taken::of(program, &reached);
+    let taken = TakenEvents::of(program, &reached);
     let mut uses = uses(tree, &reached);
     for chart in library.charts.values() {
         let used = uses.remove(chart.name.as_str()).unwrap_or_default();
@@ -37,12 +37,12 @@ pub(super) fn suspicious(program: &Program, tree: &Tree<'_>, library: &Library) 
 
 /// The events that transitions of states take that can be reached.
 #[derive(Default)]
-struct Taken<'p> {
+struct TakenEvents<'p> {
     exact: BTreeSet<&'p str>,
     prefixes: Vec<&'p Pattern>,
 }
 
-impl<'p> Taken<'p> {
+impl<'p> TakenEvents<'p> {
     fn of(program: &'p Program, reached: &[bool]) -> Self {
         let mut taken = Self::default();
         for transition in program.transitions.iter().filter(|t| reached[t.source as usize]) {
@@ -65,7 +65,7 @@ impl<'p> Taken<'p> {
 
 /// What is known of the states of a chart, wherever it is used.
 #[derive(Default)]
-struct Used {
+struct ChartUses {
     /// What they give: `State.output`.
     given: BTreeSet<String>,
     /// Where the names of those stand that can be reached.
@@ -73,8 +73,8 @@ struct Used {
 }
 
 /// The uses of charts, by their names.
-fn uses<'t>(tree: &'t Tree<'_>, reached: &[bool]) -> BTreeMap<&'t str, Used> {
-    let mut uses: BTreeMap<&str, Used> = BTreeMap::new();
+fn uses<'t>(tree: &'t Tree<'_>, reached: &[bool]) -> BTreeMap<&'t str, ChartUses> {
+    let mut uses: BTreeMap<&str, ChartUses> = BTreeMap::new();
     for (id, flat) in (0..).zip(&tree.states).skip(1) {
         let used = uses.entry(tree.chart_of(id)).or_default();
         used.given.extend(flat.outputs.iter().map(|(output, ..)| format!("{}.{output}", flat.name())));
@@ -309,9 +309,9 @@ impl Suspects<'_, '_> {
 }
 
 /// What is suspicious in a chart as it is written.
-fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, used: &'p Used) -> Vec<Finding> {
+fn written<'p>(chart: &'p Chart, taken: &'p TakenEvents<'p>, used: &'p ChartUses) -> Vec<Finding> {
     let findings = Findings::new(Arc::clone(&chart.source));
-    let mut found = Written { findings, chart, assigned: BTreeSet::new(), lost: false, taken, used };
+    let mut found = WrittenCheck { findings, chart, assigned: BTreeSet::new(), lost: false, taken, used };
     found.state(&chart.root);
     found.defaults();
     for time in chart.inputs.iter().chain(&chart.locals).filter(|declared| declared.ty == Type::Duration) {
@@ -344,18 +344,18 @@ fn place_of(chart: &Chart, sections: &[HeadSection], name: &str) -> Span {
     chart.declared.iter().find(is_it).map_or_else(Span::default, |(_, at)| at.span)
 }
 
-struct Written<'p> {
+struct WrittenCheck<'p> {
     findings: Findings,
     chart: &'p Chart,
     /// Outputs that some action sets.
     assigned: BTreeSet<String>,
     /// Whether what is read stands in a state that cannot be reached.
     lost: bool,
-    taken: &'p Taken<'p>,
-    used: &'p Used,
+    taken: &'p TakenEvents<'p>,
+    used: &'p ChartUses,
 }
 
-impl Written<'_> {
+impl WrittenCheck<'_> {
     fn state(&mut self, state: &model::WrittenState) {
         let lost = std::mem::replace(&mut self.lost, !self.used.reached.contains(&state.name.span.start));
         self.values(&state.with);

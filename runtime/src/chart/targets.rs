@@ -5,11 +5,11 @@ use armarium_source::{Remedy, code};
 
 use super::compile::Compiler;
 use super::model;
-use super::scope::{self, Site};
+use super::scope::{self, ExprSite};
 use crate::program::StateId;
 
 impl Compiler<'_> {
-    pub(super) fn initial(&mut self, site: &Site<'_>, initial: &model::WrittenEntry) -> Vec<StateId> {
+    pub(super) fn initial(&mut self, site: &ExprSite<'_>, initial: &model::WrittenEntry) -> Vec<StateId> {
         let (tree, id) = (self.tree, site.state);
         let mut targets = Vec::new();
         for name in &initial.targets {
@@ -32,7 +32,11 @@ impl Compiler<'_> {
         targets
     }
 
-    pub(super) fn history_default(&mut self, site: &Site<'_>, default: &model::WrittenEntry) -> Vec<StateId> {
+    pub(super) fn history_default(
+        &mut self,
+        site: &ExprSite<'_>,
+        default: &model::WrittenEntry,
+    ) -> Vec<StateId> {
         let parent = self.tree.state(site.state).parent.unwrap_or(0);
         let mut targets = Vec::new();
         for name in &default.targets {
@@ -49,7 +53,7 @@ impl Compiler<'_> {
     }
 
     /// Several targets can only be entered together when they are in different regions of parallel states.
-    pub(super) fn together(&mut self, site: &Site<'_>, targets: &[StateId], names: &[Named]) {
+    pub(super) fn together(&mut self, site: &ExprSite<'_>, targets: &[StateId], names: &[Named]) {
         let tree = self.tree;
         let parallel = |s: StateId| matches!(tree.state(s).model.kind, model::WrittenKind::Parallel(_));
         for (i, a) in targets.iter().enumerate() {
@@ -65,7 +69,7 @@ impl Compiler<'_> {
         }
     }
 
-    pub(super) fn target(&mut self, site: &Site<'_>, target: &Named) -> Option<StateId> {
+    pub(super) fn target(&mut self, site: &ExprSite<'_>, target: &Named) -> Option<StateId> {
         let (tree, from) = (self.tree, site.state);
         let parts: Vec<&str> = target.text.split('.').collect();
         let found = tree.find(from, &parts);

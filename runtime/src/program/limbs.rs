@@ -42,7 +42,7 @@ impl<'p> Limbs<'p> {
         for (input, named) in &manifest.limbs_by_input {
             let declared = manifest.inputs.iter().find(|parameter| parameter.name == *input);
             let default = declared.and_then(|parameter| parameter.default.as_ref()?.as_str());
-            let mut known = Known { limbs: self, texts: BTreeSet::new(), seen: BTreeSet::new() };
+            let mut known = InputTexts { limbs: self, texts: BTreeSet::new(), seen: BTreeSet::new() };
             known.add(state, input, default);
             let named = known.texts.iter().filter_map(|name| named.get(*name));
             limbs.extend(named.flatten().map(String::as_str));
@@ -52,14 +52,14 @@ impl<'p> Limbs<'p> {
 }
 
 /// The texts that may be given to one input.
-struct Known<'l, 'p> {
+struct InputTexts<'l, 'p> {
     limbs: &'l Limbs<'p>,
     texts: BTreeSet<&'p str>,
     /// The slots of charts' inputs that were followed.
     seen: BTreeSet<u32>,
 }
 
-impl<'p> Known<'_, 'p> {
+impl<'p> InputTexts<'_, 'p> {
     /// Adds what is given to an input of a state.
     fn add(&mut self, state: StateId, input: &str, default: Option<&'p str>) {
         let program = self.limbs.program;

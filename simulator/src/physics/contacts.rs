@@ -42,12 +42,12 @@ pub(super) fn touches(physics: &PhysicsWorld) -> Vec<Touch> {
 
 /// A force and its torque about the room's origin, N and N m.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Outside {
+pub(super) struct ExternalWrench {
     pub(super) force: Vector3<f64>,
     pub(super) torque: Vector3<f64>,
 }
 
-impl Outside {
+impl ExternalWrench {
     /// Adds a force at a point.
     pub(super) fn add(&mut self, force: &Vector3<f64>, at: &Vector3<f64>) {
         self.force += force;

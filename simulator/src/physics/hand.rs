@@ -9,7 +9,7 @@ use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
 use super::assembly::{Assembly, Wrist};
 use super::build::RobotBodies;
-use super::contacts::Outside;
+use super::contacts::ExternalWrench;
 use super::convert;
 use super::grip::{Grip, Load, PadPress};
 use super::pad::Moving;
@@ -137,7 +137,7 @@ impl Hand {
         physics: &rapier::PhysicsWorld,
         objects: &[Object],
         momenta: &[Momentum],
-        outside: Option<Outside>,
+        outside: Option<ExternalWrench>,
         others: &[usize],
     ) {
         let presses: Vec<Vec<PadPress>> = (0..objects.len())
@@ -167,7 +167,12 @@ impl Hand {
 
     /// Updates what the sensor feels, from the motion of a step and the forces from outside in it, on the hand and what it
     /// holds.
-    pub(super) fn feel(&mut self, bodies: &rapier::RigidBodySet, objects: &[Momentum], outside: &Outside) {
+    pub(super) fn feel(
+        &mut self,
+        bodies: &rapier::RigidBodySet,
+        objects: &[Momentum],
+        outside: &ExternalWrench,
+    ) {
         let fingers = self.momenta(bodies);
         let held = self.joined();
         let outside = (&outside.force, &outside.torque);

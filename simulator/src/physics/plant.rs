@@ -23,7 +23,7 @@ use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
 
 use super::build::{add_body, add_room, empty_room};
-use super::contacts::{Outside, Touch, touches};
+use super::contacts::{ExternalWrench, Touch, touches};
 use super::convert;
 use super::pad::{Moving, PadReaction};
 use super::people::{LedHand, PersonBodies};
@@ -362,10 +362,10 @@ impl Plant {
     }
 
     /// The sum of the forces on an object besides its weight and the hand that holds it, with their torque about its middle.
-    fn outside(&self, object: usize, (robot, arm): (usize, usize), external: &External) -> Outside {
+    fn outside(&self, object: usize, (robot, arm): (usize, usize), external: &External) -> ExternalWrench {
         let knock = external.objects.get(object).copied().unwrap_or_default();
         let Object { reaction, handle, foundation, .. } = &self.objects[object];
-        let mut sum = Outside { force: reaction.force + knock, torque: reaction.torque };
+        let mut sum = ExternalWrench { force: reaction.force + knock, torque: reaction.torque };
         if foundation.is_none() {
             let middle = convert::to_vector(self.physics.bodies[*handle].center_of_mass());
             let own = &self.robots[robot].arms[arm].colliders;
@@ -481,8 +481,8 @@ impl Plant {
 
     /// For each hand, the force and torque of Rapier's contacts between what is beyond its wrench sensor and everything
     /// else.
-    fn contacts_from_outside(&self) -> Vec<Outside> {
-        let mut outside = vec![Outside::default(); self.arms().count()];
+    fn contacts_from_outside(&self) -> Vec<ExternalWrench> {
+        let mut outside = vec![ExternalWrench::default(); self.arms().count()];
         for Touch { colliders, bodies, point, force, .. } in &self.touches {
             for (arm, sum) in self.arms().zip(&mut outside) {
                 let inside = |i: usize| arm.hand.has(colliders[i], bodies[i], &self.objects);

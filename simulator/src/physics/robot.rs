@@ -38,7 +38,7 @@ pub(super) struct ArmWithHand {
     pub(super) pad: Option<PaddedHand>,
     /// What a person who leads its hand did in the last step.
     pub(super) led: Option<LedHand>,
-    pub(super) rest: Rest,
+    pub(super) rest: ArmSleep,
 }
 
 /// A soft pad on a hand, and the box that it presses.
@@ -55,7 +55,7 @@ pub(super) struct PaddedHand {
 /// touched or pushed it or what it holds. It wakes in the step in which one of these ends. Asleep, its joints are stiff where
 /// they are, and it keeps its grip.
 #[derive(Debug)]
-pub(super) struct Rest {
+pub(super) struct ArmSleep {
     pub(super) asleep: bool,
     /// Number of steps for which it has rested.
     steps: u32,
@@ -65,7 +65,7 @@ pub(super) struct Rest {
     tolerance: f64,
 }
 
-impl Rest {
+impl ArmSleep {
     /// Takes a step's set points over; returns whether they ask for motion.
     fn asks_for_motion(&mut self, joints: &[usize], (position, velocity): (&[f64], &[f64])) -> bool {
         let mut moving = false;
@@ -131,7 +131,7 @@ impl PlantRobot {
                 pad: None,
                 led: None,
                 // The first set points are where the joints are sensed to be.
-                rest: Rest { asleep: true, steps: 0, targets, tolerance: FIRST_TARGET },
+                rest: ArmSleep { asleep: true, steps: 0, targets, tolerance: FIRST_TARGET },
             })
         };
         let working = limbs.iter().position(|arm| arm.name == works);

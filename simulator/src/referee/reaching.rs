@@ -35,13 +35,13 @@ struct ReachingFigures {
 }
 
 /// The distance, m, and the angle, degrees, of each hand from its grasp, each millisecond.
-struct Reached {
+struct GraspErrors {
     body: BodySpec,
     errors: Vec<(u64, [(f64, f64); 2])>,
 }
 
 /// While the hands went to the handles.
-fn reached(run: &Run<'_>) -> Option<Reached> {
+fn reached(run: &Run<'_>) -> Option<GraspErrors> {
     let to = run.time_of(|mark| *mark == Milestone::GraspsReached)?;
     let from = run.first_time_of(|mark| *mark == Milestone::ReachingStarted)?;
     let has_two = |(_, body): &(usize, BodySpec)| body.handle_places().len() >= 2;
@@ -67,10 +67,10 @@ fn reached(run: &Run<'_>) -> Option<Reached> {
         };
         errors.push((*at, [nearest(&tcps[0], &first)?, nearest(&tcps[1], &second)?]));
     }
-    (!errors.is_empty()).then_some(Reached { body, errors })
+    (!errors.is_empty()).then_some(GraspErrors { body, errors })
 }
 
-impl Reached {
+impl GraspErrors {
     /// When a hand arrived.
     fn arrival(&self, hand: usize) -> Option<u64> {
         let (near, straight) = NEAR;

@@ -281,9 +281,9 @@ impl Learner {
     }
 
     /// Rests where the motions begin; returns what the hands do against each other then.
-    async fn rest(&mut self) -> Result<Rest, Stop> {
+    async fn rest(&mut self) -> Result<RestForces, Stop> {
         let (long, averaged) = RESTS;
-        let (mut time, mut mean) = (0.0, Rest::default());
+        let (mut time, mut mean) = (0.0, RestForces::default());
         let home = self.motions.each_ref().map(HandMotion::home);
         for hand in 0..2 {
             self.motions[hand].pull_home(self.both.arm(hand));
@@ -301,7 +301,7 @@ impl Learner {
     }
 
     /// The lift and its periods; returns the error, N, or `None` if it was disturbed.
-    async fn epoch(&mut self, rest: &Rest) -> Result<Option<f64>, Stop> {
+    async fn epoch(&mut self, rest: &RestForces) -> Result<Option<f64>, Stop> {
         let other = 1 - self.task.leader;
         let omega = self.task.path(other).omega;
         self.motions.iter_mut().for_each(|motion| motion.primitive.restart());
@@ -402,13 +402,13 @@ impl Learner {
 
 /// What the hands do to the load at rest.
 #[derive(Default)]
-struct Rest {
+struct RestForces {
     internal: Vector6<f64>,
     /// What they carry, N.
     external: Vector3<f64>,
 }
 
-impl Rest {
+impl RestForces {
     /// Whether something else than the load's weight and inertia is on the hands.
     fn is_disturbed(&self, carried: &Vector3<f64>) -> bool {
         let (least, share) = DISTURBED;

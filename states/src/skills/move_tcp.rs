@@ -38,7 +38,7 @@ pub(crate) fn tolerances(manifest: SkillManifest, position: f64, orientation: f6
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let target = context.pose("target")?;
-    let reached = Reached {
+    let reached = PoseTolerance {
         position: context.number("position_tolerance")?,
         angle: context.number("orientation_tolerance")?,
         timeout: context.number("timeout")?,
@@ -55,7 +55,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// When a pose counts as reached.
-pub(crate) struct Reached {
+pub(crate) struct PoseTolerance {
     /// Largest distance, m.
     pub(crate) position: f64,
     /// Largest angle, rad.
@@ -70,7 +70,7 @@ pub(crate) async fn move_to(
     senses: &mut Senses,
     target: Isometry3<f64>,
     speed: f64,
-    reached: &Reached,
+    reached: &PoseTolerance,
 ) -> SkillResult {
     let mut line = StraightLine::new(arm.tcp(&senses.newest()), target, speed).map_err(failed)?;
     let mut elapsed = 0.0;

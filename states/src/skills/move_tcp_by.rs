@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
-use crate::skills::move_tcp::{Reached, move_to};
+use crate::skills::move_tcp::{PoseTolerance, move_to};
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -29,7 +29,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let offset = context.vector("offset")?;
-    let reached = Reached {
+    let reached = PoseTolerance {
         position: context.number("position_tolerance")?,
         angle: 0.1,
         timeout: context.number("timeout")?,

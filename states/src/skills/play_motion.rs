@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
-use crate::motions::{self, Kept, failed};
+use crate::motions::{self, StoredMotion, failed};
 
 /// Raised when the hand is where the motion begins, at its full pace, and when the motion is over.
 const BEGINS: &str = "begins";
@@ -97,10 +97,10 @@ struct Rhythm {
 }
 
 impl Play {
-    fn new(kept: &Kept, periods: f64) -> Result<Self, Failure> {
+    fn new(kept: &StoredMotion, periods: f64) -> Result<Self, Failure> {
         match kept {
-            Kept::Movement(movement) => Ok(Self::ToAGoal(Box::new(movement.play()))),
-            Kept::Motion(motion) => {
+            StoredMotion::Movement(movement) => Ok(Self::ToAGoal(Box::new(movement.play()))),
+            StoredMotion::Motion(motion) => {
                 let unfit = |why: &str| Failure::new(format!("the motion `{}` {why}", motion.name()));
                 let orientation = motion.orientation().cloned();
                 let orientation = orientation.ok_or_else(|| unfit("does not say how the hand is turned"))?;

@@ -5,7 +5,7 @@ use armarium_values::{Type, Unit};
 
 use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
-use crate::motions::{self, Kept};
+use crate::motions::{self, StoredMotion};
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new("RecallMotion", "Finds a kept motion in memory by its name.")
@@ -18,8 +18,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let snapshot = motions::find(&*equipment.memory, context.text("name")?).await?;
     let frequency = match motions::kept_in(&snapshot)? {
-        Kept::Motion(motion) => motion.frequency_hz(),
-        Kept::Movement(_) => 0.0,
+        StoredMotion::Motion(motion) => motion.frequency_hz(),
+        StoredMotion::Movement(_) => 0.0,
     };
     Ok(Outcome::success().with("motion", reference("Motion", &snapshot.id)).with("frequency", frequency))
 }

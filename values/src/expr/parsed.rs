@@ -13,9 +13,9 @@ const MAX_KEPT: usize = 1 << 20;
 /// A tree, and where its parts are in the text.
 pub(super) type Parsed = Arc<(IdedExpr, SourceInfo)>;
 
-static KEPT: Mutex<Kept> = Mutex::new(Kept { trees: BTreeMap::new(), bytes: 0 });
+static KEPT: Mutex<ParsedCache> = Mutex::new(ParsedCache { trees: BTreeMap::new(), bytes: 0 });
 
-struct Kept {
+struct ParsedCache {
     trees: BTreeMap<String, Parsed>,
     bytes: usize,
 }

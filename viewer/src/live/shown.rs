@@ -10,7 +10,7 @@ use futures::future::BoxFuture;
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::{OwnedMutexGuard, broadcast};
 
-use super::timeline::{Timeline, Told, text};
+use super::timeline::{PagePosition, Timeline, text};
 use super::{Action, ActionRefused, Control};
 use crate::report::fragment;
 
@@ -107,7 +107,7 @@ pub struct ServedTimeline {
     shown: ShownTimeline,
     news: broadcast::Sender<Arc<[u8]>>,
     /// Held by the task that tells the news.
-    telling: Arc<tokio::sync::Mutex<Told>>,
+    telling: Arc<tokio::sync::Mutex<PagePosition>>,
     /// Whether pages have been told the end.
     end: (Mutex<bool>, Condvar),
 }
@@ -122,7 +122,7 @@ impl ServedTimeline {
     }
 
     /// Tells all pages what is new, as long as there are any.
-    async fn tell(&self, mut told: OwnedMutexGuard<Told>) {
+    async fn tell(&self, mut told: OwnedMutexGuard<PagePosition>) {
         let mut tick = tokio::time::interval(NEWS);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {

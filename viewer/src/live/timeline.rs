@@ -15,7 +15,7 @@ use serde_json::Value as Json;
 
 use super::header::RunHeader;
 use super::recording::how_it_ended;
-use super::track::Track;
+use super::track::SampleTrack;
 use crate::chart::{Format, Theme, close, levels_that_fit, render};
 use crate::recorder::{MessageSink, RunMessage};
 use crate::report::thinned;
@@ -47,7 +47,7 @@ pub struct Timeline(Arc<Mutex<Run>>);
 
 /// What a page has been told: what comes after it is new.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Told {
+pub(super) struct PagePosition {
     /// The number of the next event.
     pub(super) event: u64,
     /// The number of the next change of memory.
@@ -74,8 +74,8 @@ struct Run {
     first: u64,
     /// Since when each active state is so, ns.
     active: BTreeMap<String, u64>,
-    numbers: BTreeMap<String, Track>,
-    poses: BTreeMap<String, Track>,
+    numbers: BTreeMap<String, SampleTrack>,
+    poses: BTreeMap<String, SampleTrack>,
     images: BTreeMap<String, VecDeque<Jpeg>>,
     /// By address.
     entities: BTreeMap<String, Entity>,
@@ -159,7 +159,7 @@ pub(super) struct Update {
     last: Samples,
     entities: Entities,
     ended: Option<Json>,
-    told: Told,
+    told: PagePosition,
 }
 
 impl Update {
@@ -273,14 +273,14 @@ impl Timeline {
         let numbers = run.numbers.iter().map(|(topic, track)| (topic.clone(), track.names.clone())).collect();
         let images = run.images.keys().cloned().collect();
         let first = First { header: run.header.clone(), active: run.active.clone(), numbers, images };
-        let all = run.since(&Told::default());
-        Update { first: Some(first), told: Told { paused, ..all.told }, ..all }
+        let all = run.since(&PagePosition::default());
+        Update { first: Some(first), told: PagePosition { paused, ..all.told }, ..all }
     }
 
     /// What is new since `told`, which goes on to now; `None` if nothing is.
-    pub(super) fn news(&self, told: &mut Told, paused: bool) -> Option<Update> {
+    pub(super) fn news(&self, told: &mut PagePosition, paused: bool) -> Option<Update> {
         let run = self.0.lock();
-        let before = std::mem::replace(told, Told { paused, ..run.told() });
+        let before = std::mem::replace(told, PagePosition { paused, ..run.told() });
         (before != *told).then(|| Update { told: *told, ..run.since(&before) })
     }
 
@@ -339,8 +339,8 @@ impl Timeline {
 }
 
 impl Run {
-    fn told(&self) -> Told {
-        Told {
+    fn told(&self) -> PagePosition {
+        PagePosition {
             event: self.first + self.events.len() as u64,
             change: self.changes,
             pose_ns: self.poses.values().filter_map(|track| Some(track.last()?.0)).max(),
@@ -351,10 +351,11 @@ impl Run {
 
     /// The poses at a time, each with its own time, s; of those that have changed after `since_ns`.
     fn poses_at(&self, stamp_ns: u64, since_ns: Option<u64>) -> Samples {
-        let newer =
-            |track: &Track| since_ns.is_none_or(|since| track.last().is_some_and(|(last, _)| last > since));
+        let newer = |track: &SampleTrack| {
+            since_ns.is_none_or(|since| track.last().is_some_and(|(last, _)| last > since))
+        };
         let tracks = self.poses.iter().filter(|(_, track)| newer(track));
-        let sample = |track: &Track| {
+        let sample = |track: &SampleTrack| {
             let (stamp_ns, pose) = track.at(stamp_ns)?;
             Some([pose, &[(stamp_ns as f64 * 1e-9) as f32]].concat())
         };
@@ -362,12 +363,12 @@ impl Run {
     }
 
     /// What a page has not been told yet.
-    fn since(&self, before: &Told) -> Update {
+    fn since(&self, before: &PagePosition) -> Update {
         let skipped = usize::try_from(before.event.saturating_sub(self.first)).unwrap_or(usize::MAX);
         let changed = self.entities.iter().filter(|(_, entity)| entity.changed >= before.change);
         let newest =
             |(id, entity): (&String, &Entity)| Some((id.clone(), Arc::clone(&entity.versions.back()?.1)));
-        let last = |(topic, track): (&String, &Track)| Some((topic.clone(), track.last()?.1.to_vec()));
+        let last = |(topic, track): (&String, &SampleTrack)| Some((topic.clone(), track.last()?.1.to_vec()));
         Update {
             first: None,
             now_ns: self.now_ns,
@@ -450,16 +451,16 @@ impl Run {
 
 /// The track of a topic, which is begun if it is new and there is room.
 fn track<'t>(
-    tracks: &'t mut BTreeMap<String, Track>,
+    tracks: &'t mut BTreeMap<String, SampleTrack>,
     topic: &str,
     period_ns: u64,
     names: impl FnOnce() -> Vec<String>,
-) -> Option<&'t mut Track> {
+) -> Option<&'t mut SampleTrack> {
     if !tracks.contains_key(topic) {
         if tracks.len() >= MOST_TRACKS {
             return None;
         }
-        tracks.insert(topic.to_owned(), Track::new(names(), period_ns));
+        tracks.insert(topic.to_owned(), SampleTrack::new(names(), period_ns));
     }
     tracks.get_mut(topic)
 }
@@ -531,7 +532,7 @@ mod tests {
     fn a_page_is_told_each_event_once_and_what_is_active_though_the_oldest_are_gone() {
         let timeline = Timeline::default();
         event(&timeline, 1, "entered", "Long");
-        let mut told = Told::default();
+        let mut told = PagePosition::default();
         assert!(timeline.news(&mut told, false).unwrap().events[0].1.contains("Long"));
         assert!(timeline.news(&mut told, false).is_none());
         for k in 0..MOST_EVENTS as u64 {

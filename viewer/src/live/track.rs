@@ -7,7 +7,7 @@ const MOST_NUMBERS: usize = 512;
 
 /// Samples of some numbers over time.
 #[derive(Debug)]
-pub(super) struct Track {
+pub(super) struct SampleTrack {
     /// What each number is, for instance `force[0]`.
     pub(super) names: Vec<String>,
     /// Least time between two samples, ns.
@@ -17,7 +17,7 @@ pub(super) struct Track {
     numbers: Vec<f32>,
 }
 
-impl Track {
+impl SampleTrack {
     /// A track without samples.
     pub(super) fn new(mut names: Vec<String>, period_ns: u64) -> Self {
         names.truncate(MOST_NUMBERS);
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn an_hour_at_a_kilohertz_stays_small_and_whole() {
-        let mut track = Track::new(vec!["a".into(), "b".into()], 20_000_000);
+        let mut track = SampleTrack::new(vec!["a".into(), "b".into()], 20_000_000);
         for k in 0..3_600_000_u64 {
             track.push(k * 1_000_000, [k as f64, f64::NAN]);
         }

@@ -34,7 +34,7 @@ fn classes(paths: &[Path]) -> Vec<String> {
 
 /// Draws a plan as SVG; `None` when it has no content.
 pub(super) fn draw(plan: &Plan) -> Option<String> {
-    let cells = plan.cells.as_ref().and_then(Used::of);
+    let cells = plan.cells.as_ref().and_then(UsedCells::of);
     let [x, y] = match &cells {
         Some(used) => [range_of(used.x, 0.1), range_of(used.y, 0.1)],
         None => [0, 1].map(|axis| {
@@ -107,7 +107,7 @@ fn area_class(tone: Tone) -> &'static str {
 }
 
 /// The cells of a plan with content, and their bounding rectangle.
-struct Used<'c> {
+struct UsedCells<'c> {
     cells: &'c Cells,
     columns: [usize; 2],
     rows: [usize; 2],
@@ -115,7 +115,7 @@ struct Used<'c> {
     y: [f64; 2],
 }
 
-impl<'c> Used<'c> {
+impl<'c> UsedCells<'c> {
     fn of(cells: &'c Cells) -> Option<Self> {
         if !(cells.cell_m.is_finite() && cells.cell_m > 0.0) {
             return None;

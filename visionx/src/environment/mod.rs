@@ -17,7 +17,7 @@ use crate::frame::{DepthImage, StereoFrame};
 use crate::plane::{Plane, towards, upwards};
 use crate::points::{DepthPoint, DepthPoints, uncertainty};
 pub use step::EnvironmentStep;
-use surface::{CELL, Look, Surface};
+use surface::{CELL, Surface, Visibility};
 
 /// Every so many pixels the depth is sampled, and up to which depth, m.
 const SAMPLED: (u32, f64) = (4, 3.5);
@@ -307,23 +307,23 @@ struct View<'f> {
 
 impl View<'_> {
     /// What is seen at a place of a surface with this normal, both in the root frame.
-    fn shows(&self, place: &Point3<f64>, normal: &Vector3<f64>) -> Look {
+    fn shows(&self, place: &Point3<f64>, normal: &Vector3<f64>) -> Visibility {
         let in_left = self.root_from_left.inverse_transform_point(place);
         let Some(px) = self.camera.project(&in_left).filter(|px| px.x >= 0.0 && px.y >= 0.0) else {
-            return Look::Unknown;
+            return Visibility::Unknown;
         };
         // No measurement is 0, as outside of the picture.
         let measured = f64::from(self.depth.at(px.x.round() as u32, px.y.round() as u32));
         if !(measured > 0.0 && measured.is_finite()) {
-            return Look::Unknown;
+            return Visibility::Unknown;
         }
         let across = normal.dot(&(self.root_from_left.rotation * in_left.coords)).abs() / in_left.z;
         let behind = (measured - in_left.z) * across;
         let band = BAND * uncertainty(in_left.z);
         match behind {
-            behind if behind.abs() < band => Look::There,
-            behind if behind > band + BEHIND => Look::Through,
-            _ => Look::Unknown,
+            behind if behind.abs() < band => Visibility::There,
+            behind if behind > band + BEHIND => Visibility::Through,
+            _ => Visibility::Unknown,
         }
     }
 }

@@ -36,7 +36,7 @@ const CELL_REMEMBERED: f32 = 3.0;
 
 /// Whether a place of a surface was seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Look {
+pub(super) enum Visibility {
     /// It was measured there.
     There,
     /// What is behind it was measured.
@@ -128,14 +128,14 @@ impl Surface {
     }
 
     /// Looks at each of its cells, by what the picture shows at a place (root frame, m).
-    pub(super) fn look(&mut self, shown: impl Fn(&Point3<f64>) -> Look) {
+    pub(super) fn look(&mut self, shown: impl Fn(&Point3<f64>) -> Visibility) {
         let (plane, root_from_anchor) = (self.plane, self.root_from_anchor);
         let (mut there, mut through) = (0, 0);
         for (cell, odds) in &mut self.cells {
             let change = match shown(&(root_from_anchor * in_anchor(&plane, cell))) {
-                Look::Unknown => continue,
-                Look::There => CELL_LOOK.0,
-                Look::Through => CELL_LOOK.1,
+                Visibility::Unknown => continue,
+                Visibility::There => CELL_LOOK.0,
+                Visibility::Through => CELL_LOOK.1,
             };
             if *odds > 0.0 {
                 there += usize::from(change > 0.0);

@@ -44,7 +44,7 @@ pub struct ColorMarkerObjectTracking {
     calibration: StereoCalibration,
     color: ColorModel,
     rng: ChaCha8Rng,
-    track: Option<Track>,
+    track: Option<MarkerTrack>,
     /// Diameter of a disc with the area of the marker's silhouette, m: given, or as learned so far.
     diameter: Option<f64>,
     /// Whether the diameter is learned.
@@ -54,7 +54,7 @@ pub struct ColorMarkerObjectTracking {
 }
 
 #[derive(Clone, Debug)]
-struct Track {
+struct MarkerTrack {
     cloud: Cloud,
     root_from_left: Isometry3<f64>,
     stamp_ns: u64,
@@ -110,7 +110,7 @@ impl ColorMarkerObjectTracking {
                 return Some(estimate);
             }
         }
-        let lost = |t: &Track| frame.stamp_ns - t.measured_ns > LOST_AFTER_NS;
+        let lost = |t: &MarkerTrack| frame.stamp_ns - t.measured_ns > LOST_AFTER_NS;
         if self.track.as_ref().is_none_or(lost) {
             (self.track, self.seen_color) = (None, None);
             self.acquire(&self.masks(frame), frame, place)?;
@@ -164,8 +164,12 @@ impl ColorMarkerObjectTracking {
         let spread = Matrix3::from_diagonal(&Vector3::new(1e-4, 1e-4, 4e-4));
         let cloud = Cloud::around(&point, &spread, 0.3, PARTICLES, &mut self.rng);
         let stamp_ns = frame.stamp_ns;
-        self.track =
-            Some(Track { cloud, root_from_left: frame.root_from_left, stamp_ns, measured_ns: stamp_ns });
+        self.track = Some(MarkerTrack {
+            cloud,
+            root_from_left: frame.root_from_left,
+            stamp_ns,
+            measured_ns: stamp_ns,
+        });
         Some(())
     }
 

@@ -121,7 +121,7 @@ pub(super) fn align(
 
 /// How a patch of an earlier picture is found in a later one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Found {
+pub(super) enum PatchMotion {
     /// Where it was.
     Still,
     /// Where the hand's motion, or a part of it, would have brought it.
@@ -145,7 +145,7 @@ pub(super) fn find(
     patch: (&RgbImage, Point2<i32>),
     other: &RgbImage,
     (still, motion): (&Point2<f64>, &Vector2<f64>),
-) -> Option<Found> {
+) -> Option<PatchMotion> {
     let beside = [-BESIDE, 0.0, BESIDE];
     let around = beside.iter().flat_map(|x| beside.iter().map(move |y| Vector2::new(*x, *y)));
     let across = Vector2::new(-motion.y, motion.x);
@@ -155,11 +155,11 @@ pub(super) fn find(
     };
     let (unmoved, moved) = (least(&mut around.into_iter())?, least(&mut carried.into_iter())?);
     Some(if unmoved < CHANGED && unmoved < BETTER * moved {
-        Found::Still
+        PatchMotion::Still
     } else if moved < CHANGED && moved < BETTER * unmoved {
-        Found::Moved
+        PatchMotion::Moved
     } else {
-        Found::Otherwise
+        PatchMotion::Otherwise
     })
 }
 
@@ -197,10 +197,10 @@ mod tests {
         let patch = (&first, Point2::new(40, 30));
         let (still, motion) = (Point2::new(40.0, 30.0), Vector2::new(4.0, 1.0));
         for (shift, found) in [
-            (Vector2::new(0.3, -0.2), Found::Still),
-            (motion, Found::Moved),
-            (0.6 * motion, Found::Moved),
-            (Vector2::new(-3.0, 4.0), Found::Otherwise),
+            (Vector2::new(0.3, -0.2), PatchMotion::Still),
+            (motion, PatchMotion::Moved),
+            (0.6 * motion, PatchMotion::Moved),
+            (Vector2::new(-3.0, 4.0), PatchMotion::Otherwise),
         ] {
             let second = smooth(&pattern(shift));
             assert_eq!(find(patch, &second, (&still, &motion)), Some(found), "{shift}");

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use armarium_values::{Frame, Observation, ObservedPlace};
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
-use super::patches::{Found, HALF, difference, find};
+use super::patches::{HALF, PatchMotion, difference, find};
 use super::picture::Picture;
 use super::{OwnHand, TouchedTable};
 use crate::annotate;
@@ -40,7 +40,7 @@ struct Patch {
     px: Point2<f64>,
     /// Root frame, m, as it was in the earlier picture.
     at: Point3<f64>,
-    found: Found,
+    found: PatchMotion,
 }
 
 /// Sees that a hand touches something, as `Touches` named after the hand, with its `position`, the name of the `finger` that is nearest,
@@ -96,7 +96,7 @@ impl TouchStep {
         }
         let (was, moved) = then.still_and_motion(&at, before)?;
         let was = was + shift_before;
-        if before.hides(&was) || find(patch, &before.left, (&was, &moved))? != Found::Still {
+        if before.hides(&was) || find(patch, &before.left, (&was, &moved))? != PatchMotion::Still {
             return None;
         }
         let found = find(patch, &now.left, (&px, &motion))?;
@@ -105,9 +105,11 @@ impl TouchStep {
 
     /// The touch that the patches show.
     fn touch(&mut self, stamp_ns: u64) -> Option<Observation> {
-        let of =
-            |found: Found| self.last.iter().filter(move |patch| patch.found == found).map(|patch| patch.at);
-        let (moved, still): (Vec<_>, Vec<_>) = (of(Found::Moved).collect(), of(Found::Still).collect());
+        let of = |found: PatchMotion| {
+            self.last.iter().filter(move |patch| patch.found == found).map(|patch| patch.at)
+        };
+        let (moved, still): (Vec<_>, Vec<_>) =
+            (of(PatchMotion::Moved).collect(), of(PatchMotion::Still).collect());
         let around = |middle: &Point3<f64>, all: &[Point3<f64>]| {
             all.iter().filter(|at| (*at - middle).norm() < TOGETHER).count()
         };
@@ -176,9 +178,9 @@ impl StereoStep for TouchStep {
         }
         for patch in &self.last {
             let color = match patch.found {
-                Found::Still => [0, 200, 0],
-                Found::Moved => [255, 0, 0],
-                Found::Otherwise => [0, 0, 255],
+                PatchMotion::Still => [0, 200, 0],
+                PatchMotion::Moved => [255, 0, 0],
+                PatchMotion::Otherwise => [0, 0, 255],
             };
             annotate::cross(image, &patch.px, 1.0, color);
         }
