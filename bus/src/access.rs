@@ -31,7 +31,7 @@ pub struct Access {
 }
 
 /// A rule: name, messages, directions (as this agent sees them) and keys.
-struct Rule {
+struct AccessRule {
     id: String,
     messages: Vec<&'static str>,
     flow: &'static str,
@@ -102,7 +102,7 @@ impl Access {
     }
 
     /// The rules for one peer: publish and answer on its own keys, and what this agent's lists allow.
-    fn of(&self, other: &str) -> Vec<Rule> {
+    fn of(&self, other: &str) -> Vec<AccessRule> {
         let own = &self.own;
         let is_in = |list: &[String]| list.iter().any(|name| name == other);
         let himself = || [format!("{other}/**")];
@@ -163,8 +163,8 @@ fn rule(
     messages: &[&'static str],
     flow: &'static str,
     keys: impl Into<Vec<String>>,
-) -> Rule {
-    Rule { id: format!("{subject} {name}"), messages: messages.to_vec(), flow, keys: keys.into() }
+) -> AccessRule {
+    AccessRule { id: format!("{subject} {name}"), messages: messages.to_vec(), flow, keys: keys.into() }
 }
 
 #[cfg(test)]

@@ -12,12 +12,12 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Suite {
     pub(crate) file: String,
-    pub(crate) cases: Vec<Case>,
+    pub(crate) cases: Vec<CaseResult>,
 }
 
 /// The result of one case.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Case {
+pub(crate) struct CaseResult {
     /// What it shows.
     pub(crate) name: String,
     /// How long it took by the wall's clock.
@@ -130,7 +130,8 @@ mod tests {
 
     #[test]
     fn results_are_counted_and_texts_are_kept() {
-        let case = |name: &str, verdict| Case { name: name.into(), took: Duration::from_millis(12), verdict };
+        let case =
+            |name: &str, verdict| CaseResult { name: name.into(), took: Duration::from_millis(12), verdict };
         let suites = [
             Suite {
                 file: "a/b.test.yaml".into(),

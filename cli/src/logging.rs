@@ -13,9 +13,9 @@ use tracing_subscriber::fmt::time::FormatTime;
 const QUIET: &str = "zenoh::net::routing::hat=error,foxglove=off";
 
 /// Prints the simulated time of an event.
-struct Simulated(WorldClock);
+struct SimulatedTime(WorldClock);
 
-impl FormatTime for Simulated {
+impl FormatTime for SimulatedTime {
     fn format_time(&self, w: &mut Writer<'_>) -> std::fmt::Result {
         write!(w, "{:8.2} s", (self.0)() as f64 * 1e-9)
     }
@@ -41,7 +41,7 @@ fn subscriber(
     let progress = progress.clone();
     tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_timer(Simulated(clock))
+        .with_timer(SimulatedTime(clock))
         .with_ansi(colour)
         .with_writer(move || progress.clone())
         .finish()

@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::console::show as render;
 use crate::described::described;
 use crate::failure::Failure;
-use crate::robot_service::{self, ScaleArgs, ServeArgs, TestArgs};
+use crate::robot_service::{self, RobotServeArgs, RobotTestArgs, ScaleArgs};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RobotArgs {
@@ -65,9 +65,9 @@ enum RobotCommand {
     /// List the robots that the program carries.
     List,
     /// Own the guard of a driver, so that skills of several processes can use the robot, until Ctrl-C.
-    Serve(ServeArgs),
+    Serve(RobotServeArgs),
     /// Check that a robot, or a driver, keeps the rules that skills and people rely on.
-    Test(TestArgs),
+    Test(RobotTestArgs),
     /// Make a robot slower, or as fast as commanded, while it runs.
     Scale(ScaleArgs),
 }

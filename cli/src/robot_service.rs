@@ -20,7 +20,7 @@ use crate::stopped::stopped;
 const CALLER: &str = "armarium robot";
 
 #[derive(Clone, Debug, clap::Args)]
-pub(crate) struct ServeArgs {
+pub(crate) struct RobotServeArgs {
     /// The driver (`docs/wire-robot.md`); it may come and go.
     #[arg(long, value_name = "AGENT/NAME")]
     driver: Address,
@@ -52,7 +52,7 @@ pub(crate) struct ServeArgs {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-pub(crate) struct TestArgs {
+pub(crate) struct RobotTestArgs {
     /// The robot behind its guard, or with --driver a driver.
     #[arg(value_name = "AGENT/NAME")]
     at: Address,
@@ -93,7 +93,7 @@ pub(crate) struct ScaleArgs {
 }
 
 /// Serves until Ctrl-C. Returns the exit status.
-pub(crate) fn serve(args: &ServeArgs) -> Result<u8, Failure> {
+pub(crate) fn serve(args: &RobotServeArgs) -> Result<u8, Failure> {
     let Description { model, .. } = described(&args.robot, &[])?;
     let offered = args.offered.clone().unwrap_or_else(|| args.driver.clone());
     let access = Access {
@@ -123,7 +123,7 @@ pub(crate) fn serve(args: &ServeArgs) -> Result<u8, Failure> {
 }
 
 /// Says what will be done, and with `--moves` does it. Returns the exit status: 1 when a rule is broken.
-pub(crate) fn test(args: &TestArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(crate) fn test(args: &RobotTestArgs, out: &mut dyn Write) -> Result<u8, Failure> {
     let Description { model, .. } = described(&args.robot, &[])?;
     let limbs: Vec<String> = match args.limb.as_slice() {
         [] => model.arms().map(|arm| arm.name.clone()).collect(),
@@ -169,7 +169,7 @@ fn explain(model: &Model, limbs: &[String], out: &mut dyn Write) -> io::Result<(
 
 /// Checks the limbs: with a driver in lockstep in virtual time, where the machine's load does not count.
 fn check(
-    args: &TestArgs,
+    args: &RobotTestArgs,
     connection: &Connection,
     model: &Arc<Model>,
     limbs: &[String],

@@ -15,7 +15,7 @@ use armarium_runtime::test_cases::{Programs, TestFile};
 use armarium_source::{Disk, Finding, Source};
 
 use crate::console;
-use crate::junit::{self, Case, Suite, Verdict};
+use crate::junit::{self, CaseResult, Suite, Verdict};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TestArgs {
@@ -90,7 +90,11 @@ fn suite(
             console::show(&findings, out)?;
             let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
             let verdict = Verdict::Error(lines.join("\n"));
-            suite.cases.push(Case { name: "the file is in order".into(), took: Duration::ZERO, verdict });
+            suite.cases.push(CaseResult {
+                name: "the file is in order".into(),
+                took: Duration::ZERO,
+                verdict,
+            });
             return Ok(suite);
         }
     };
@@ -111,7 +115,7 @@ fn suite(
                 Verdict::Failed(error.to_string())
             }
         };
-        suite.cases.push(Case { name: case.case.clone(), took, verdict });
+        suite.cases.push(CaseResult { name: case.case.clone(), took, verdict });
     }
     Ok(suite)
 }
@@ -146,7 +150,7 @@ fn completeness(chart: &Path, untaken: &[String]) -> Suite {
             untaken.join("\n")
         )),
     };
-    let case = Case { name: "every transition is taken".into(), took: Duration::ZERO, verdict };
+    let case = CaseResult { name: "every transition is taken".into(), took: Duration::ZERO, verdict };
     Suite { file: chart.display().to_string(), cases: vec![case] }
 }
 

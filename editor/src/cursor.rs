@@ -23,7 +23,7 @@ pub(crate) enum CursorPlace {
 
 /// A place in a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Cursor {
+pub(crate) struct TextCursor {
     /// The keys that it is under; at a value the value's own key is the last.
     pub(crate) path: Vec<PathStep>,
     pub(crate) place: CursorPlace,
@@ -37,7 +37,7 @@ pub(crate) struct Cursor {
     pub(crate) flow: bool,
 }
 
-impl Cursor {
+impl TextCursor {
     /// The place of a byte; none in a comment.
     pub(crate) fn at(source: &Source, offset: usize) -> Option<Self> {
         let (text, layout) = (source.text.as_str(), source.layout());
@@ -178,7 +178,7 @@ mod tests {
     fn at(text: &str) -> String {
         let offset = text.find('|').expect("the text has a mark");
         let source = Source::new("t.yaml", text.replacen('|', "", 1));
-        let Some(cursor) = Cursor::at(&source, offset) else { return "nowhere".into() };
+        let Some(cursor) = TextCursor::at(&source, offset) else { return "nowhere".into() };
         let step = |step: &PathStep| match step {
             PathStep::Key(key) => key.clone(),
             PathStep::Item => "-".into(),

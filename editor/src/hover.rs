@@ -6,7 +6,7 @@ use armarium_source::{Span, code};
 use armarium_values::expr;
 use lsp_types::{Hover, HoverContents, MarkupContent, MarkupKind, Position, Uri};
 
-use crate::cursor::{Cursor, CursorPlace};
+use crate::cursor::{CursorPlace, TextCursor};
 use crate::scope::shown;
 use crate::symbols::describe;
 use crate::uri;
@@ -59,7 +59,7 @@ impl Workspace {
         kind: crate::kind::FileKind,
         offset: usize,
     ) -> Option<(Span, String)> {
-        let cursor = Cursor::at(source, offset).filter(|cursor| cursor.place == CursorPlace::Key)?;
+        let cursor = TextCursor::at(source, offset).filter(|cursor| cursor.place == CursorPlace::Key)?;
         let layout = source.layout();
         let entry =
             layout.entries.iter().rfind(|e| e.key.start <= offset && offset <= e.key.end && !e.item)?;

@@ -5,7 +5,7 @@ use armarium_runtime::skill::{Parameter, SkillManifest};
 use armarium_values::Type;
 
 /// What can be seen from a state of a chart.
-pub(crate) struct Scope<'s> {
+pub(crate) struct StateScope<'s> {
     pub(crate) library: &'s Library,
     pub(crate) registry: &'s Registry,
     pub(crate) chart: &'s Chart,
@@ -14,7 +14,7 @@ pub(crate) struct Scope<'s> {
     pub(crate) state: usize,
 }
 
-impl<'s> Scope<'s> {
+impl<'s> StateScope<'s> {
     /// The states whose names are known here, nearest first, each with its shortest path.
     pub(crate) fn visible(&self) -> Vec<(usize, String)> {
         let states = &self.outline.states;

@@ -51,7 +51,7 @@ pub enum ServerError {
 /// What a client may set: `initializationOptions`, and the section `armarium` of its configuration.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
-struct Settings {
+struct ClientSettings {
     /// Folders where charts find others.
     charts: Vec<PathBuf>,
 }
@@ -76,7 +76,7 @@ pub fn serve(connection: &Connection, catalog: Catalog, folders: &[PathBuf]) -> 
     let params: InitializeParams = serde_json::from_value(params).unwrap_or_default();
     let info = json!({"name": "armarium", "version": env!("CARGO_PKG_VERSION")});
     connection.initialize_finish(id, json!({"capabilities": capabilities(), "serverInfo": info}))?;
-    let mut server = Server {
+    let mut server = LanguageServer {
         connection,
         workspace: Workspace::new(catalog, folders),
         folders,
@@ -131,7 +131,7 @@ fn roots(params: &InitializeParams) -> Vec<PathBuf> {
     if folders.is_empty() { old.collect() } else { folders }
 }
 
-struct Server<'c> {
+struct LanguageServer<'c> {
     connection: &'c Connection,
     workspace: Workspace,
     /// Folders where charts find others, besides those that the client sets.
@@ -144,7 +144,7 @@ struct Server<'c> {
     cancelled: BTreeSet<String>,
 }
 
-impl Server<'_> {
+impl LanguageServer<'_> {
     fn run(&mut self) -> Result<(), ServerError> {
         loop {
             // All that has arrived is looked at for cancellations before the first of it is worked on.
@@ -228,7 +228,7 @@ impl Server<'_> {
     }
 
     fn configure(&mut self, settings: Option<&Json>) {
-        if let Some(settings) = settings.and_then(|settings| Settings::deserialize(settings).ok()) {
+        if let Some(settings) = settings.and_then(|settings| ClientSettings::deserialize(settings).ok()) {
             self.workspace.set_folders(self.folders.iter().cloned().chain(settings.charts));
         }
     }

@@ -101,7 +101,7 @@ impl Workspace {
             self.document(&uri::path(uri)).filter(|document| document.kind == Some(FileKind::Chart))?;
         let source = &document.source;
         let offset = document.lines.offset(&source.text, position);
-        let cursor = crate::cursor::Cursor::at(source, offset)?;
+        let cursor = crate::cursor::TextCursor::at(source, offset)?;
         let mut names: Vec<&str> = cursor.states();
         // The name of a state belongs to the state.
         let layout = source.layout();

@@ -12,7 +12,7 @@ use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};
 use super::phase::{mean, over_period};
 use super::planar::{PlanarArm, Redundancy};
-use super::settings::{Setting, Settings as _, settings};
+use super::settings::{ExperimentSettings as _, Setting, settings};
 
 /// The direction of motion on the circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

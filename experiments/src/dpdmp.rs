@@ -12,7 +12,7 @@ use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};
-use super::settings::{Settings as _, settings};
+use super::settings::{ExperimentSettings as _, settings};
 
 settings! {
     /// Settings of the demonstration and of its replays.
@@ -106,13 +106,13 @@ impl Demonstration {
 }
 
 /// A replay: actual and reference positions, one entry per step.
-struct Replay {
+struct ReplayedMotion {
     dt: f64,
     y: Vec<[f64; 2]>,
     wanted: Vec<[f64; 2]>,
 }
 
-impl Replay {
+impl ReplayedMotion {
     /// Root mean square error of each degree of freedom, relative to `range`.
     fn error(&self, range: [f64; 2]) -> Vec<f64> {
         let square =
@@ -158,7 +158,7 @@ impl Experiment for Dpdmp {
         for (name, replay) in &replays {
             outcome.figure(name, replay.error(range));
         }
-        let replays: Vec<Replay> = replays.into_iter().map(|(_, replay)| replay).collect();
+        let replays: Vec<ReplayedMotion> = replays.into_iter().map(|(_, replay)| replay).collect();
         outcome.plot("dpdmp", plot(&replays));
         Ok(outcome)
     }
@@ -222,10 +222,10 @@ impl Dpdmp {
         dmp: &mut DiscretePeriodicDmp,
         omega: f64,
         shape: &Demonstration,
-    ) -> Result<Replay, ExperimentError> {
+    ) -> Result<ReplayedMotion, ExperimentError> {
         dmp.restart();
         let steps = (dmp.length(self.periods, omega) / self.dt).round() as usize;
-        let mut replay = Replay { dt: self.dt, y: Vec::new(), wanted: Vec::new() };
+        let mut replay = ReplayedMotion { dt: self.dt, y: Vec::new(), wanted: Vec::new() };
         for k in 0..=steps {
             let t = self.dt * k as f64 * omega / self.omega;
             replay.y.push([dmp.state().y[0], dmp.state().y[1]]);
@@ -256,7 +256,7 @@ impl Dpdmp {
 
 /// Rows: original, modified and adapted; columns: the two degrees of freedom. The replays are in the order of the
 /// figures.
-fn plot(replays: &[Replay]) -> String {
+fn plot(replays: &[ReplayedMotion]) -> String {
     let of_dof = |d: usize, title: &str, shown: &[(usize, &str, u8)]| {
         let mut curves = Vec::new();
         if let Some((last, _, _)) = shown.last() {

@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::error::ExperimentError;
 use super::experiment::{Experiment, ExperimentResult, panel};
 use super::ilc::Space;
-use super::settings::{Settings as _, settings};
+use super::settings::{ExperimentSettings as _, settings};
 
 settings! {
     /// Settings of the learning; the box and the pads are those of the world.

@@ -4,7 +4,7 @@ use armarium_viewer::report::{Curve, Panel};
 use serde_json::{Map, Value};
 
 use super::error::ExperimentError;
-use super::settings::{self, SettingInfo, Settings};
+use super::settings::{self, ExperimentSettings, SettingInfo};
 
 /// Named figures, and plots.
 #[derive(Clone, Debug, Default)]
@@ -33,7 +33,7 @@ pub(crate) fn panel(x_label: impl Into<String>, y_label: impl Into<String>, curv
 }
 
 /// An experiment of the papers.
-pub(crate) trait Experiment: Settings {
+pub(crate) trait Experiment: ExperimentSettings {
     /// Its name on the command line and in its JSON.
     const NAME: &'static str;
     /// A one-line description.

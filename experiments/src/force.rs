@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};
-use super::settings::{Settings as _, settings};
+use super::settings::{ExperimentSettings as _, settings};
 
 settings! {
     /// Settings of the adaptation.

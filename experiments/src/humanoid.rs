@@ -20,7 +20,7 @@ use super::experiment::{Experiment, ExperimentResult, panel};
 use super::humanoid_arm::{DT, HumanoidArm, JOINTS, Joints, largest};
 use super::humanoid_coach::{Arms, Modification, Tracker};
 use super::phase::{mean, over_period};
-use super::settings::{Settings as _, settings};
+use super::settings::{ExperimentSettings as _, settings};
 
 settings! {
     /// Settings of the four modifications; root frame: x right, y forward over the table, z up.
@@ -78,7 +78,7 @@ settings! {
 const LOG_INTERVAL: f64 = 0.01;
 
 /// The log of a run; lists with one entry per [`LOG_INTERVAL`].
-struct RunLog {
+struct ModificationLog {
     modification: Modification,
     o: Vector3<f64>,
     q: Vec<Joints>,
@@ -128,7 +128,7 @@ impl HumanoidCoaching {
         TAU * self.frequency
     }
 
-    /// RunLog entries per period, not a whole number.
+    /// Log entries per period, not a whole number.
     fn period(&self) -> f64 {
         1.0 / (self.frequency * LOG_INTERVAL)
     }
@@ -186,7 +186,7 @@ impl HumanoidCoaching {
         arm: &mut HumanoidArm,
         tracker: &mut Tracker,
         modification: Modification,
-    ) -> Result<RunLog, ExperimentError> {
+    ) -> Result<ModificationLog, ExperimentError> {
         let mut dmp = self.learn(arm, modification.plane())?;
         let original = dmp.weights().to_vec();
         let o = self.centre() + (self.radius + self.gap) * modification.outward();
@@ -195,7 +195,7 @@ impl HumanoidCoaching {
         let mut execution = arm.execution(&start_q, self.physics, self.seed)?;
         let (start, stop, back) = (step_of(self.start), step_of(self.stop), step_of(self.back));
         let image = (1.0 / (self.camera_rate * DT)).round().max(1.0) as usize;
-        let mut log = RunLog::new(modification, o);
+        let mut log = ModificationLog::new(modification, o);
         let mut command = None;
         for k in 0..=step_of(self.seconds) {
             let (q, qd) = execution.joints().unwrap_or((start_q, Joints::zeros()));
@@ -240,7 +240,7 @@ impl HumanoidCoaching {
     }
 
     /// The periods that the referee compares: before the coaching, and the last one before the motion returns.
-    fn compared(&self, log: &RunLog) -> Compared {
+    fn compared(&self, log: &ModificationLog) -> Compared {
         Compared {
             period_s: 1.0 / self.frequency,
             before_s: self.start,
@@ -251,9 +251,9 @@ impl HumanoidCoaching {
         }
     }
 
-    fn figures(&self, arm: &HumanoidArm, tracker: &Tracker, logs: &[RunLog]) -> ExperimentResult {
+    fn figures(&self, arm: &HumanoidArm, tracker: &Tracker, logs: &[ModificationLog]) -> ExperimentResult {
         let mut outcome = ExperimentResult::default();
-        let each = |of: &dyn Fn(&RunLog) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
+        let each = |of: &dyn Fn(&ModificationLog) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
         let names: Vec<_> = logs.iter().map(|log| log.modification.name()).collect();
         outcome.figure("modifications", names);
         outcome.figure("displacement_m", each(&|log| log.judged.displacement_m));
@@ -261,26 +261,30 @@ impl HumanoidCoaching {
         let begin = (self.start / LOG_INTERVAL).round() as usize;
         let end = (self.stop / LOG_INTERVAL).round() as usize;
         let count = self.period().round() as usize;
-        let over = |log: &RunLog, from: usize| mean(log.coupling[from..].iter().take(count).copied());
+        let over =
+            |log: &ModificationLog, from: usize| mean(log.coupling[from..].iter().take(count).copied());
         outcome.figure("coupling_mean_first", each(&|log| over(log, begin)));
         outcome.figure("coupling_mean_last", each(&|log| over(log, end - count)));
         let settled = (1.0 / LOG_INTERVAL) as usize;
-        let lag = |log: &RunLog| log.x.iter().zip(&log.wanted).map(|(x, w)| (x - w).norm_squared()).collect();
-        let rms = |log: &RunLog| -> f64 {
+        let lag = |log: &ModificationLog| {
+            log.x.iter().zip(&log.wanted).map(|(x, w)| (x - w).norm_squared()).collect()
+        };
+        let rms = |log: &ModificationLog| -> f64 {
             let squares: Vec<f64> = lag(log);
             mean(squares[settled.min(squares.len())..].iter().copied()).sqrt()
         };
         outcome.figure("tracking_rms_m", each(&rms));
         outcome.figure("joint_speed_rad_s", each(&|log| largest(&log.qd)));
-        let margin = |log: &RunLog| log.q.iter().map(|q| arm.margin(q)).fold(f64::INFINITY, f64::min);
+        let margin =
+            |log: &ModificationLog| log.q.iter().map(|q| arm.margin(q)).fold(f64::INFINITY, f64::min);
         outcome.figure("joint_margin_rad", each(&margin));
         outcome.figure("calibration_rms_m", tracker.calibration_rms);
         outcome
     }
 
     /// As Fig. 9: the four modifications, with the intermediate paths.
-    fn paths_plot(&self, logs: &[RunLog]) -> String {
-        let path = |log: &RunLog| {
+    fn paths_plot(&self, logs: &[ModificationLog]) -> String {
+        let path = |log: &ModificationLog| {
             let axes = log.modification.plane();
             let project = |p: &Vector3<f64>| [p[axes[0]], p[axes[1]]];
             let closed = |end: f64| {
@@ -307,13 +311,14 @@ impl HumanoidCoaching {
                 )
             }
         };
-        let row = |logs: &[RunLog]| PanelRow { height: 420.0, panels: logs.iter().map(path).collect() };
+        let row =
+            |logs: &[ModificationLog]| PanelRow { height: 420.0, panels: logs.iter().map(path).collect() };
         let rows: Vec<_> = logs.chunks(2).map(row).collect();
         picture("Four modifications of the arm's motion by the coach's hands", &rows)
     }
 
     /// As Fig. 7: the joints over time.
-    fn joints_plot(&self, log: &RunLog) -> String {
+    fn joints_plot(&self, log: &ModificationLog) -> String {
         let over_time =
             |i: usize| log.q.iter().enumerate().map(|(k, q)| [LOG_INTERVAL * k as f64, q[i]]).collect();
         // Labels appear once; the lines cross all panels.
@@ -334,7 +339,7 @@ impl HumanoidCoaching {
     }
 }
 
-impl RunLog {
+impl ModificationLog {
     fn new(modification: Modification, o: Vector3<f64>) -> Self {
         let (q, qd, x, wanted, coupling, judged) = Default::default();
         Self { modification, o, q, qd, x, wanted, coupling, judged }

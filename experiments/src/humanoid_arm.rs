@@ -114,7 +114,7 @@ impl HumanoidArm {
         let simulation = Simulation::new(&world, seed, options).map_err(|e| failed(&e))?;
         let robot = simulation.robot();
         let lease = robot.lease(&self.name, "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
-        let simulated = Simulated { simulation: Box::new(simulation), robot, lease, joints: self.joints };
+        let simulated = SimulatedArm { simulation: Box::new(simulation), robot, lease, joints: self.joints };
         Ok(Execution::Simulated(simulated))
     }
 }
@@ -131,11 +131,11 @@ pub(crate) enum Execution {
         path: Vec<Vector3<f64>>,
     },
     /// The simulator: sensors, guard, servos, inertia, and the referee.
-    Simulated(Simulated),
+    Simulated(SimulatedArm),
 }
 
 /// The simulated robot with its arm leased.
-pub(crate) struct Simulated {
+pub(crate) struct SimulatedArm {
     simulation: Box<Simulation>,
     robot: Arc<dyn Robot>,
     lease: Lease,
@@ -162,7 +162,7 @@ impl Execution {
                 velocity.copy_from_slice(qd);
                 Ok(())
             }
-            Self::Simulated(Simulated { simulation, robot, lease, joints }) => {
+            Self::Simulated(SimulatedArm { simulation, robot, lease, joints }) => {
                 let here = robot.sensed().borrow();
                 let velocity = std::array::from_fn::<f64, JOINTS, _>(|i| {
                     // Before the first step there is no sensor sample.
@@ -181,7 +181,7 @@ impl Execution {
     pub(crate) fn joints(&self) -> Option<(Joints, Joints)> {
         match self {
             Self::Ideal { position, velocity, .. } => Some((*position, *velocity)),
-            Self::Simulated(Simulated { robot, joints, .. }) => {
+            Self::Simulated(SimulatedArm { robot, joints, .. }) => {
                 let sensed = robot.sensed().borrow();
                 let of = |all: &[f64]| Joints::from_fn(|i, _| all[joints[i]]);
                 (sensed.stamp_ns > 0).then(|| (of(&sensed.position), of(&sensed.velocity)))
@@ -193,7 +193,7 @@ impl Execution {
     pub(crate) fn truth(&self) -> Vec<Vector3<f64>> {
         match self {
             Self::Ideal { path, .. } => path.clone(),
-            Self::Simulated(Simulated { simulation, .. }) => {
+            Self::Simulated(SimulatedArm { simulation, .. }) => {
                 let log = simulation.referee().log();
                 log.records.iter().map(|r| r.tcp.translation.vector).collect()
             }
@@ -204,7 +204,7 @@ impl Execution {
     pub(crate) fn judge(&self, compared: &Compared) -> ModificationFigures {
         let figures = match self {
             Self::Ideal { path, .. } => of_path(path, compared),
-            Self::Simulated(Simulated { simulation, .. }) => {
+            Self::Simulated(SimulatedArm { simulation, .. }) => {
                 modification(&simulation.referee().log(), compared)
             }
         };

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};
-use super::settings::{Settings as _, settings};
+use super::settings::{ExperimentSettings as _, settings};
 
 settings! {
     /// Settings of the servo.
@@ -50,7 +50,7 @@ settings! {
 }
 
 /// One frame: the true error and the command.
-struct Frame {
+struct ServoFrame {
     t: f64,
     position: Vector3<f64>,
     angle: f64,
@@ -105,19 +105,19 @@ impl Servo {
 
     /// Runs until the true, not only the measured, hand pose is at the target, or the servo gives up. The camera stands
     /// still and sees hand and target.
-    fn servo(&self) -> Result<(Vec<Frame>, ServoStatus), ExperimentError> {
+    fn servo(&self) -> Result<(Vec<ServoFrame>, ServoStatus), ExperimentError> {
         let mut servo = PositionServo::new(self.config())?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let turned = Vector3::from(self.hand_eye_axis).normalize() * self.hand_eye_error_deg.to_radians();
         let camera_from_robot = Isometry3::rotation(turned);
         let mut hand = pose(&self.start);
-        let mut frames: Vec<Frame> = Vec::new();
+        let mut frames: Vec<ServoFrame> = Vec::new();
         let mut held = 0;
         loop {
             let seen = camera_from_robot * hand * self.error(&mut rng);
             let observation = ServoObservation { hand: seen, target: camera_from_robot };
             let command = servo.step(self.dt, Some(&observation))?;
-            frames.push(Frame {
+            frames.push(ServoFrame {
                 t: self.dt * frames.len() as f64,
                 position: hand.translation.vector,
                 angle: hand.rotation.angle(),
@@ -144,7 +144,7 @@ impl Servo {
         distance <= self.tolerance_m && angle <= self.tolerance_deg.to_radians()
     }
 
-    fn figures(&self, frames: &[Frame], status: ServoStatus) -> ExperimentResult {
+    fn figures(&self, frames: &[ServoFrame], status: ServoStatus) -> ExperimentResult {
         let mut outcome = ExperimentResult::default();
         let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return outcome };
         let length: f64 = frames.windows(2).map(|w| (w[1].position - w[0].position).norm()).sum();
@@ -176,10 +176,11 @@ fn pose([x, y, z, a, b, c]: &[f64; 6]) -> Isometry3<f64> {
     Isometry3::new(Vector3::new(*x, *y, *z), Vector3::new(*a, *b, *c).map(f64::to_radians))
 }
 
-fn plot(frames: &[Frame]) -> String {
-    let over_time =
-        |value: &dyn Fn(&Frame) -> f64| frames.iter().map(|f| [f.t, value(f)]).collect::<Vec<[f64; 2]>>();
-    let line = |label: &str, value: &dyn Fn(&Frame) -> f64, colour: u8| {
+fn plot(frames: &[ServoFrame]) -> String {
+    let over_time = |value: &dyn Fn(&ServoFrame) -> f64| {
+        frames.iter().map(|f| [f.t, value(f)]).collect::<Vec<[f64; 2]>>()
+    };
+    let line = |label: &str, value: &dyn Fn(&ServoFrame) -> f64, colour: u8| {
         Curve::new(label, over_time(value)).looking(Look::Colour(colour))
     };
     let path = |axis: usize, colour: u8| {

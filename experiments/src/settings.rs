@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 use super::error::ExperimentError;
 
 /// The settings of an experiment; declared with [`settings!`].
-pub(crate) trait Settings: Default + Serialize + DeserializeOwned {
+pub(crate) trait ExperimentSettings: Default + Serialize + DeserializeOwned {
     /// Each key, and its meaning with unit.
     const KEYS: &'static [(&'static str, &'static str)];
 
@@ -34,7 +34,7 @@ macro_rules! settings {
                 Self { $( $key: $default, )* }
             }
         }
-        impl $crate::settings::Settings for $name {
+        impl $crate::settings::ExperimentSettings for $name {
             const KEYS: &'static [(&'static str, &'static str)] =
                 &[$( (stringify!($key), concat!($($doc),+)), )*];
 
@@ -153,7 +153,7 @@ pub struct SettingInfo {
 }
 
 /// All keys of `S`, in the order declared.
-pub(crate) fn keys<S: Settings>() -> Vec<SettingInfo> {
+pub(crate) fn keys<S: ExperimentSettings>() -> Vec<SettingInfo> {
     let defaults = defaults::<S>();
     S::KEYS
         .iter()
@@ -165,7 +165,7 @@ pub(crate) fn keys<S: Settings>() -> Vec<SettingInfo> {
         .collect()
 }
 
-fn defaults<S: Settings>() -> Map<String, Value> {
+fn defaults<S: ExperimentSettings>() -> Map<String, Value> {
     match serde_json::to_value(S::default()) {
         Ok(Value::Object(map)) => map,
         _ => Map::new(),
@@ -182,7 +182,7 @@ fn shown(value: &Value) -> String {
 }
 
 /// The defaults, overwritten by the given settings; an unknown key or a value of another type is an error.
-pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, ExperimentError> {
+pub(crate) fn read<S: ExperimentSettings>(given: &[(String, String)]) -> Result<S, ExperimentError> {
     let mut map = defaults::<S>();
     for (key, text) in given {
         let Some(default) = map.get(key) else {

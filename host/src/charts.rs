@@ -19,7 +19,7 @@ use crate::catalog;
 use crate::console::Console;
 use crate::error::HostError;
 use crate::names::Names;
-use crate::network::Network;
+use crate::network::AgentNetwork;
 use crate::replay::{RunSource, TurnRecorder};
 use crate::run_config::RunConfig;
 use crate::run_log::RunLogger;
@@ -70,7 +70,7 @@ pub(crate) async fn load(
     config: &RunConfig,
     equipment: &Equipment,
     world: &World,
-    network: &Network,
+    network: &AgentNetwork,
     console: &dyn Console,
 ) -> Result<(Arc<Program>, Registry), HostError> {
     let names = Arc::new(Names::of_run(world, equipment.robot.model()));

@@ -33,7 +33,7 @@ use crate::console::{Console, WorldClock};
 use crate::error::HostError;
 use crate::frame_sampler::{FrameSampler, LEFT_EYE};
 use crate::live_service::LiveOffer;
-use crate::network::Network;
+use crate::network::AgentNetwork;
 use crate::recording::{SharedRecorder, person_part};
 use crate::run_config::{LiveOptions, RunConfig};
 use crate::signals::signalled;
@@ -62,7 +62,7 @@ pub struct OpenPage {
     page: LivePage,
     _offer: Option<LiveOffer>,
     /// What carries it to others.
-    network: Option<Network>,
+    network: Option<AgentNetwork>,
 }
 
 impl std::fmt::Debug for OpenPage {
@@ -78,7 +78,7 @@ impl OpenPage {
     }
 
     /// Others see it as long as this lives.
-    pub(crate) fn keep(&mut self, network: Network) {
+    pub(crate) fn keep(&mut self, network: AgentNetwork) {
         self.network = Some(network);
     }
 }

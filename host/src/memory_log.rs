@@ -73,7 +73,7 @@ pub(crate) fn section(
 ) -> Option<(Json, Section)> {
     let object = object.or_else(|| world.first_object())?;
     let subject = world.body_name(object)?.to_owned();
-    let truth = &Truth { log: truth, object };
+    let truth = &TrueObject { log: truth, object };
     let frames = Frames::of(world);
     let known: Vec<Knowledge> =
         log.iter().filter_map(|e| Knowledge::of(e, &subject, &frames, truth)).collect();
@@ -121,7 +121,7 @@ struct Knowledge<'d> {
 }
 
 impl<'d> Knowledge<'d> {
-    fn of(entry: &'d LoggedChange, subject: &str, frames: &Frames, truth: &Truth<'_>) -> Option<Self> {
+    fn of(entry: &'d LoggedChange, subject: &str, frames: &Frames, truth: &TrueObject<'_>) -> Option<Self> {
         let snapshot = &*entry.snapshot;
         let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
         let says = if text("class") == Some(subject) {
@@ -166,12 +166,12 @@ impl<'d> Knowledge<'d> {
 }
 
 /// Where the object truly is.
-struct Truth<'t> {
+struct TrueObject<'t> {
     log: &'t TruthLog,
     object: usize,
 }
 
-impl Truth<'_> {
+impl TrueObject<'_> {
     fn place(&self, t_s: f64) -> Option<Point3<f64>> {
         let pose = self.log.object_at(self.object, (t_s.max(0.0) * 1e9) as u64)?;
         Some(Point3::from(pose.translation.vector))
@@ -233,7 +233,7 @@ impl RepeatedChange<'_> {
 }
 
 /// The distance of each agent's newest position from the true one.
-fn distance(known: &[Knowledge<'_>], truth: &Truth<'_>) -> Option<TimePlot> {
+fn distance(known: &[Knowledge<'_>], truth: &TrueObject<'_>) -> Option<TimePlot> {
     let end_s = truth.log.records.last()?.stamp_ns as f64 * 1e-9;
     let mut agents: Vec<&str> = known.iter().map(|k| k.agent).collect();
     agents.sort_unstable();

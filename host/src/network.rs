@@ -15,7 +15,7 @@ use crate::error::HostError;
 
 /// How a run reaches other agents; empty if it needs none.
 #[derive(Default)]
-pub(crate) struct Network {
+pub(crate) struct AgentNetwork {
     pub(crate) connection: Option<Connection>,
     pub(crate) agents: Option<Agents>,
     pub(crate) peers: Peers,
@@ -42,7 +42,7 @@ fn commands(program: &Program, name: &str, endpoint: &str) -> Vec<String> {
     program.events().take(MAX_EXPLAINED).map(command).collect()
 }
 
-impl Network {
+impl AgentNetwork {
     /// Opens a session. With a name, the run receives events from other agents, on the session's threads.
     pub(crate) fn open(
         config: &SessionConfig,

@@ -24,7 +24,7 @@ use tokio::task::{JoinHandle, JoinSet};
 use crate::charts::{executor, load};
 use crate::console::Console;
 use crate::error::HostError;
-use crate::network::Network;
+use crate::network::AgentNetwork;
 use crate::run_config::RunConfig;
 use crate::run_log::{RunLog, RunLogger};
 use crate::simulated::{equipment_of, memory_without_store};
@@ -59,7 +59,7 @@ pub(crate) struct InProcess {
 
 impl InProcess {
     /// The way among the robots of a world, and from them to others.
-    pub(crate) fn of(world: &World, network: &Network) -> Arc<Self> {
+    pub(crate) fn of(world: &World, network: &AgentNetwork) -> Arc<Self> {
         let own = (world.robot.name.clone(), network.peers.subscribers.clone());
         let others = commanded(world).map(|(_, spec)| (spec.name.clone(), Subscribers::default()));
         Arc::new(Self {
@@ -114,7 +114,7 @@ impl OtherRobots {
         config: &RunConfig,
         (world, file): (&World, Option<&Path>),
         (robots, workers): (&[RobotInWorld], Workers),
-        (network, among): (&Network, &Arc<InProcess>),
+        (network, among): (&AgentNetwork, &Arc<InProcess>),
         logger: &RunLogger,
         console: &Arc<dyn Console>,
     ) -> Result<Self, HostError> {

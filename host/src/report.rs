@@ -17,7 +17,7 @@ use crate::other_robots::OtherRobotEnded;
 use crate::run_log::RunLog;
 
 /// The data of a report.
-pub(crate) struct Case<'r> {
+pub(crate) struct ReportedRun<'r> {
     pub(crate) chart: &'r str,
     pub(crate) world: &'r World,
     pub(crate) seed: u64,
@@ -39,7 +39,7 @@ pub(crate) struct Case<'r> {
 }
 
 /// The figures of the run, by the names that all reports use.
-pub(crate) fn figures(case: &Case<'_>) -> Json {
+pub(crate) fn figures(case: &ReportedRun<'_>) -> Json {
     let measured = case.referee.report();
     let mut report = json!({
         "chart": case.chart,
@@ -92,7 +92,7 @@ pub(crate) struct WrittenReport {
 }
 
 /// Writes both reports into `folder`.
-pub(crate) fn write(folder: &Path, case: Case<'_>) -> WrittenReport {
+pub(crate) fn write(folder: &Path, case: ReportedRun<'_>) -> WrittenReport {
     let mut figures = figures(&case);
     let memories = (!case.memory_log.is_empty())
         .then(|| {
@@ -138,7 +138,7 @@ fn lines(log: &RunLog) -> Section {
     Section::new("Log", "", vec![Block::Lines(log.lines.clone())])
 }
 
-fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> ReportData {
+fn page(case: ReportedRun<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> ReportData {
     let minutes = |s: f64| format!("{:.0} min {:04.1} s", (s / 60.0).floor(), s % 60.0);
     let rest = judged.split_off(judged.len().min(1));
     let joints = "Trajectories over time in seconds; dashed lines are limits.";

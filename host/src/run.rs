@@ -28,11 +28,11 @@ use crate::driven::{self, OutsideRobot, RobotAt};
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
 use crate::live::{self, Live, OpenPage};
-use crate::network::Network;
+use crate::network::AgentNetwork;
 use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
 use crate::other_robots::{InProcess, OtherRobotEnded, OtherRobots};
 use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_report, attach_sources, record_robot};
-use crate::report::{self, Case, JointLog, WrittenReport};
+use crate::report::{self, JointLog, ReportedRun, WrittenReport};
 use crate::report_folder::ReportFolder;
 use crate::run_config::RunConfig;
 use crate::run_log::{self, RunLog, RunLogger};
@@ -91,8 +91,8 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
     }
     let name = world.called(config.name.as_deref());
     let network = match config.session(&world.world, name.is_some()) {
-        Some(session) => Network::open(&session, name.as_deref(), &**console)?,
-        None => Network::default(),
+        Some(session) => AgentNetwork::open(&session, name.as_deref(), &**console)?,
+        None => AgentNetwork::default(),
     };
     let outside = match (&config.robot_at, &network.connection) {
         (Some(at), Some(connection)) => {
@@ -118,7 +118,7 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
 async fn perform(
     config: &RunConfig,
     world: &WorldFile,
-    (network, outside): (&Network, Option<OutsideRobot>),
+    (network, outside): (&AgentNetwork, Option<OutsideRobot>),
     workers: Workers,
     console: &Arc<dyn Console>,
     began: Instant,
@@ -263,7 +263,7 @@ impl RunSetup {
     async fn prepare(
         config: &RunConfig,
         world: &World,
-        network: &Network,
+        network: &AgentNetwork,
         outside: Option<OutsideRobot>,
         console: &dyn Console,
     ) -> Result<(Self, Mover), HostError> {
@@ -314,7 +314,7 @@ impl RunSetup {
         &self,
         config: &RunConfig,
         world: &WorldFile,
-        network: &Network,
+        network: &AgentNetwork,
         mover: &Mover,
     ) -> Result<Option<OtherAgents>, HostError> {
         let (Some(connection), Some(world_file)) = (&network.connection, &world.file) else {
@@ -389,7 +389,7 @@ impl RunSetup {
         config: &RunConfig,
         acting: (Controller, bool),
         log: &Arc<Mutex<RunLog>>,
-        network: &Network,
+        network: &AgentNetwork,
         console: &Arc<dyn Console>,
     ) -> Result<Option<Arc<Mutex<Vec<String>>>>, HostError> {
         let (Some(live), Some(options)) = (&mut self.live, &config.live) else { return Ok(None) };
@@ -462,7 +462,7 @@ impl RunSetup {
         let states_at = |t_ns: u64| log.states_at(t_ns as f64 * 1e-9);
         let mut pictures = self.frames.pictures(&states_at);
         pictures.extend(others.pictures(&states_at));
-        let case = Case {
+        let case = ReportedRun {
             chart,
             world,
             seed: config.seed,

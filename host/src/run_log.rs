@@ -37,11 +37,11 @@ pub(crate) struct RunLog {
     /// The inputs that the chart began with.
     pub(crate) inputs: BTreeMap<String, Value>,
     /// The running skills by activation.
-    running: BTreeMap<u64, Running>,
+    running: BTreeMap<u64, StartedSkill>,
 }
 
 #[derive(Debug)]
-struct Running {
+struct StartedSkill {
     skill: String,
     inputs: BTreeMap<String, Value>,
 }
@@ -150,7 +150,7 @@ impl RunLogger {
             }
             TraceItem::SkillStarted { activation, skill, inputs, state } => {
                 self.say(log, t_s, state, &format!("{skill} begins"));
-                let running = Running { skill: skill.clone(), inputs: inputs.clone() };
+                let running = StartedSkill { skill: skill.clone(), inputs: inputs.clone() };
                 let attends = self.judged.get(skill).map_or(&[][..], |judged| &judged.attends);
                 for thing in attends.iter().filter_map(|input| thing(inputs.get(input)?)) {
                     self.referee.needs(t_ns, *activation, &thing);
@@ -218,7 +218,7 @@ impl RunLogger {
     }
 
     /// Passes a skill's marks at this point of its activation to the referee and the recording.
-    fn mark(&self, running: &Running, at: &MarkTime, outputs: &BTreeMap<String, Value>, t_ns: u64) {
+    fn mark(&self, running: &StartedSkill, at: &MarkTime, outputs: &BTreeMap<String, Value>, t_ns: u64) {
         let Some(judged) = self.judged.get(&running.skill) else { return };
         for mark in judged.marks.iter().filter(|mark| mark.at == *at) {
             let numbers = mark.numbers_of(&running.inputs, outputs);

@@ -102,7 +102,7 @@ impl Rate {
 }
 
 /// A sweep while it runs.
-struct Progress {
+struct RunningSweep {
     waiting: std::vec::IntoIter<Choice>,
     runs: Vec<SweptRun>,
     log: File,
@@ -129,7 +129,7 @@ pub fn sweep(
         runs.iter().find(|run| run.seed == *seed && run.inputs == *inputs).cloned()
     };
     let waiting: Vec<_> = choices.iter().filter(|choice| find(&known, choice).is_none()).cloned().collect();
-    let progress = Mutex::new(Progress { waiting: waiting.into_iter(), runs: known, log, failed: None });
+    let progress = Mutex::new(RunningSweep { waiting: waiting.into_iter(), runs: known, log, failed: None });
     let next = || {
         let mut progress = progress.lock();
         if progress.failed.is_some() { None } else { progress.waiting.next() }
@@ -156,7 +156,7 @@ pub fn sweep(
             scope.spawn(work);
         }
     });
-    let Progress { runs, failed, .. } = progress.into_inner();
+    let RunningSweep { runs, failed, .. } = progress.into_inner();
     match failed {
         Some(error) => Err(file_error(&path, error)),
         None => Ok(choices.iter().filter_map(|choice| find(&runs, choice)).collect()),

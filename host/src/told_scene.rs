@@ -20,7 +20,7 @@ use crate::error::HostError;
 
 /// What the driver has told last.
 #[derive(Debug, Default)]
-struct Scene {
+struct DriverScene {
     /// Number and time of the picture, ns.
     picture: (u64, u64),
     /// rad (m), in the model's order.
@@ -31,7 +31,7 @@ struct Scene {
 
 /// Takes what a driver tells, at the cameras' rate.
 pub(crate) struct SceneTeller {
-    scenes: newest::Sender<Arc<Scene>>,
+    scenes: newest::Sender<Arc<DriverScene>>,
     rate_hz: f64,
     /// The number of the next picture.
     next: u64,
@@ -39,7 +39,7 @@ pub(crate) struct SceneTeller {
 
 /// The cameras that draw it.
 pub(crate) struct ToldCameras {
-    scenes: newest::NewestReceiver<Arc<Scene>>,
+    scenes: newest::NewestReceiver<Arc<DriverScene>>,
     calibration: StereoCalibration,
     drawn: Arc<Mutex<Drawn>>,
 }
@@ -83,7 +83,7 @@ impl SceneTeller {
         }
         self.next = number + 1;
         let (position, bodies) = (timed.sample.position.clone(), timed.bodies.clone());
-        self.scenes.send(Arc::new(Scene { picture: (number, timed.stamp_ns), position, bodies }));
+        self.scenes.send(Arc::new(DriverScene { picture: (number, timed.stamp_ns), position, bodies }));
     }
 }
 
@@ -116,7 +116,7 @@ impl ImageSource for ToldCameras {
 
 impl Drawn {
     /// The picture of a scene, unless it cannot be drawn.
-    fn picture(&mut self, scene: &Scene) -> Option<Arc<StereoFrame>> {
+    fn picture(&mut self, scene: &DriverScene) -> Option<Arc<StereoFrame>> {
         if let Some((number, frame)) = &self.last
             && *number == scene.picture.0
         {

@@ -116,16 +116,16 @@ pub struct AgentMemory {
     server: Option<MemoryServer>,
     inferences: Vec<RunningInference>,
     tasks: JoinSet<()>,
-    _reading: Option<Reading>,
+    _reading: Option<LoadingThread>,
 }
 
 /// The thread that reads long-term memory into working memory after the start. Dropping it ends it.
-struct Reading {
+struct LoadingThread {
     ended: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Reading {
+impl LoadingThread {
     /// Reads everything: beside all others where the runtime has several threads, and at once where it has one, because virtual
     /// time does not wait for another thread.
     fn start(store: &Arc<LongTermMemory>, memory: &Arc<WorkingMemory>) -> Result<Self, MemoryError> {
@@ -153,7 +153,7 @@ impl Reading {
     }
 }
 
-impl Drop for Reading {
+impl Drop for LoadingThread {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
@@ -194,7 +194,7 @@ impl AgentMemory {
         config.prior.put_into(&memory)?;
         let memory = Arc::new(memory);
         let reading = kept.as_ref().filter(|_| config.restored == Restored::All);
-        let reading = reading.map(|kept| Reading::start(kept.store(), &memory)).transpose()?;
+        let reading = reading.map(|kept| LoadingThread::start(kept.store(), &memory)).transpose()?;
         let tasks = JoinSet::new();
         Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks, _reading: reading })
     }

@@ -49,7 +49,7 @@ pub struct Violation {
 /// # Errors
 /// The first [`Violation`].
 pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> {
-    let mut probe = Probe::new(robot, limb)?;
+    let mut probe = LimbCheck::new(robot, limb)?;
     probe.samples_come_in_order().await?;
     probe.every_sensor_is_tared_by_itself().await?;
     probe.leases_are_exclusive()?;
@@ -76,7 +76,7 @@ fn full_speed(model: &Model, joints: &[usize], sensed: &Sensed) -> Vec<f64> {
     joints.iter().map(speed).collect()
 }
 
-struct Probe<'a> {
+struct LimbCheck<'a> {
     robot: &'a Arc<dyn Robot>,
     limb: &'a str,
     joints: Vec<usize>,
@@ -85,7 +85,7 @@ struct Probe<'a> {
     rule: &'static str,
 }
 
-impl<'a> Probe<'a> {
+impl<'a> LimbCheck<'a> {
     fn new(robot: &'a Arc<dyn Robot>, limb: &'a str) -> Result<Self, Violation> {
         let joints = robot.model().limb(limb).to_vec();
         if joints.is_empty() {

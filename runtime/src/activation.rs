@@ -18,7 +18,7 @@ use crate::skill::{EventQueue, Failure, Limits, Skill, SkillContext, SkillResult
 
 /// The arguments of a skill's start.
 #[derive(Debug)]
-pub(crate) struct Start {
+pub(crate) struct SkillStart {
     /// Path of the state that runs the skill, or the name that a remote caller knows it by.
     pub(crate) state: String,
     pub(crate) inputs: BTreeMap<String, Value>,
@@ -54,7 +54,7 @@ pub(crate) struct Activation {
 impl Activation {
     /// Prepares a skill; it begins at the first call of [`next`](Self::next). `declared` are the events that it may
     /// raise.
-    pub(crate) fn new(skill: Arc<dyn Skill>, declared: Vec<String>, start: Start) -> Self {
+    pub(crate) fn new(skill: Arc<dyn Skill>, declared: Vec<String>, start: SkillStart) -> Self {
         let (raising, events) = events();
         let (telling, inside) = watch::channel(Vec::new());
         let state = start.state.clone();

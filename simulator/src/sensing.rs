@@ -24,21 +24,21 @@ const SLIDING_SHARE: f64 = 0.05;
 
 /// The robot's joint encoders and wrench sensors.
 #[derive(Clone, Debug)]
-pub(crate) struct Sensors {
+pub(crate) struct RobotSensors {
     noise: NoiseSpec,
     faults: Faults,
     /// Of each joint, whether it slides.
     sliding: Vec<bool>,
     odometry: Vec<Odometry>,
     rng: ChaCha8Rng,
-    wrenches: Vec<WrenchSensor>,
+    wrenches: Vec<NoisyWrench>,
     /// The wrench sensor that the faults concern: that of the arm that works.
     faulty: Option<usize>,
 }
 
 /// One wrench sensor.
 #[derive(Clone, Debug)]
-struct WrenchSensor {
+struct NoisyWrench {
     bias: [f64; 6],
     drift: Drift,
     /// The coloured noise, over its standard deviation, and when it was so, s.
@@ -47,7 +47,7 @@ struct WrenchSensor {
     frozen: Option<ForceTorque>,
 }
 
-impl Sensors {
+impl RobotSensors {
     /// Draws biases and drifts. `stream` gives independent sources of random numbers: 0 is for the joints, the others are
     /// for the wrench sensors in their order. `arm` is the arm that works.
     pub(crate) fn new(
@@ -62,7 +62,7 @@ impl Sensors {
             odometry: Odometry::all(model, noise, &mut stream(64)),
             sliding: model.joints().iter().map(|joint| joint.kind == JointKind::Prismatic).collect(),
             rng: stream(0),
-            wrenches: (1..).zip(model.wrenches()).map(|(n, _)| WrenchSensor::new(noise, stream(n))).collect(),
+            wrenches: (1..).zip(model.wrenches()).map(|(n, _)| NoisyWrench::new(noise, stream(n))).collect(),
             faulty: arm.wrench,
         }
     }
@@ -99,7 +99,7 @@ fn share(axis: usize) -> f64 {
     if axis < 3 { 1.0 } else { TORQUE_SHARE }
 }
 
-impl WrenchSensor {
+impl NoisyWrench {
     fn new(noise: &NoiseSpec, mut rng: ChaCha8Rng) -> Self {
         let bias = std::array::from_fn(|axis| {
             noise.wrench_bias * share(axis) * rng.sample::<f64, _>(StandardNormal)
@@ -225,10 +225,10 @@ mod tests {
         assert!(most > 1.0 && turned > 5, "{most} N, {turned} times through zero");
     }
 
-    fn sensors(model: &Model, faults: Faults) -> Sensors {
+    fn sensors(model: &Model, faults: Faults) -> RobotSensors {
         let stream = |n: u64| ChaCha8Rng::seed_from_u64(7 + n);
         let arm = model.arms().next().unwrap();
-        Sensors::new(model, arm, (&NoiseSpec::default(), &faults), stream)
+        RobotSensors::new(model, arm, (&NoiseSpec::default(), &faults), stream)
     }
 
     #[test]
@@ -287,7 +287,7 @@ mod tests {
         let mut s = sensors(&model, Faults { wrench: WrenchFault::Frozen, from: 1.0, ..Faults::default() });
         let still = vec![0.0; model.joints().len()];
         let mut sample = Sample::resting(&model, still.clone());
-        let mut read = |s: &mut Sensors, t: f64| {
+        let mut read = |s: &mut RobotSensors, t: f64| {
             s.sense(t, &still, &still, [ForceTorque::default(); 2].into_iter(), &mut sample);
             [sample.wrenches[0].force, sample.wrenches[1].force]
         };

@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::accidents::Accidents;
 use crate::cameras::{
-    AgentEyes, Drawing, Eyes, Moment, RobotState, SceneShapes, SceneState, Scenery, ScenerySink,
+    AgentEyes, Drawing, Eyes, Moment, RobotJoints, SceneShapes, SceneState, Scenery, ScenerySink,
     SimulatedCameras,
 };
 use crate::coach::{Coach, SeenArm};
@@ -25,7 +25,7 @@ use crate::person::Person;
 use crate::physics::{External, Plant};
 use crate::referee::Referee;
 use crate::render::ShadowedScene;
-use crate::sensing::Sensors;
+use crate::sensing::RobotSensors;
 use crate::start;
 use crate::table::DirtGrid;
 use crate::table::WIPE_EVERY;
@@ -104,7 +104,7 @@ struct GuardedRobot {
     name: String,
     robot: Arc<dyn Robot>,
     guard: Guard,
-    sensors: Sensors,
+    sensors: RobotSensors,
     eyes: Eyes,
     sample: Sample,
     /// What the joints' sensors show beyond what is true, rad (m).
@@ -164,7 +164,7 @@ impl Simulation {
         };
         let plant = Plant::new(world, starts.clone())?;
         let mut drawing = Drawing::new(world, &starts, plant.table(), seed);
-        drawing.update(&[RobotState { truth: &starts[0].true_position(), sensed: &starts[0].position }]);
+        drawing.update(&[RobotJoints { truth: &starts[0].true_position(), sensed: &starts[0].position }]);
         let camera = drawing.links(0, model.camera().map(|camera| camera.left))[1].translation.vector.into();
         let mut limits = options.guard;
         let mut robots = Vec::new();
@@ -180,7 +180,7 @@ impl Simulation {
                 name: start.name.clone(),
                 robot,
                 guard,
-                sensors: Sensors::new(model, arm, (&spec.noise, &world.faults), |n| stream(first + n)),
+                sensors: RobotSensors::new(model, arm, (&spec.noise, &world.faults), |n| stream(first + n)),
                 eyes: Eyes::new(world, i, start, seed),
                 sample: Sample::resting(model, start.position.clone()),
                 zeros: start.errors.zeros.clone(),
@@ -476,8 +476,8 @@ impl Simulation {
             (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
         let people: Vec<_> = (0..self.people.len()).map(|person| self.plant.person(person)).collect();
         let sensed: Vec<Vec<f64>> = self.robots.iter().map(|robot| robot.sample.position.clone()).collect();
-        let robots: Vec<RobotState<'_>> = (sensed.iter().enumerate())
-            .map(|(i, sensed)| RobotState { truth: self.plant.position(i), sensed })
+        let robots: Vec<RobotJoints<'_>> = (sensed.iter().enumerate())
+            .map(|(i, sensed)| RobotJoints { truth: self.plant.position(i), sensed })
             .collect();
         let view = SceneState {
             exposed_ns: stamp_ns,

@@ -36,7 +36,7 @@ pub fn draw(source: Arc<Source>, seed: u64) -> Result<Drawn, Vec<Finding>> {
     let mut edits = Vec::new();
     if let Some(tree) = yaml::parse(&mut findings) {
         let layout = source.layout();
-        let mut drawing = Drawing { layout, seed, findings: &mut findings, edits: &mut edits };
+        let mut drawing = RandomDraws { layout, seed, findings: &mut findings, edits: &mut edits };
         drawing.node(&tree, &mut String::new());
         if !findings.list.is_empty() {
             return Err(findings.list);
@@ -120,14 +120,14 @@ impl Edit {
     }
 }
 
-struct Drawing<'d> {
+struct RandomDraws<'d> {
     layout: &'d Layout,
     seed: u64,
     findings: &'d mut Findings,
     edits: &'d mut Vec<Edit>,
 }
 
-impl Drawing<'_> {
+impl RandomDraws<'_> {
     fn node(&mut self, node: &Node, path: &mut String) {
         let inside = path.len();
         match &node.value {

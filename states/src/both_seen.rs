@@ -17,7 +17,7 @@ use crate::equipment::Equipment;
 use crate::grasp::{hand, marker};
 use crate::inputs::{Inputs, seen_at, seen_pose};
 use crate::motions::failed;
-use crate::surface::Surface;
+use crate::surface::ContactPlane;
 
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
 const VISIBLE: f64 = 0.35;
@@ -98,7 +98,7 @@ impl BothSeen {
         looks: bool,
     ) -> Result<Self, Failure> {
         let (class, shown) = equipment.remembered().thing(&context.entity("object")?).await?;
-        let surface = Surface::under(equipment.remembered(), &shown.translation.vector.into()).await?;
+        let surface = ContactPlane::under(equipment.remembered(), &shown.translation.vector.into()).await?;
         let model = equipment.robot.model();
         let sample = equipment.robot.sensed().borrow();
         let left = model.camera().map(|camera| model.link_pose(&sample.position, camera.left));

@@ -9,7 +9,7 @@ use crate::grasp::hand;
 use crate::motions::failed;
 
 /// An arm's hand with its lease.
-pub(crate) struct Hand {
+pub(crate) struct LeasedHand {
     lease: Lease,
     name: String,
     joints: Vec<usize>,
@@ -20,7 +20,7 @@ const CENTRING_GAIN: f64 = 5.0;
 /// Gain with which joints go to a shape, 1/s.
 const SHAPING_GAIN: f64 = 4.0;
 
-impl Hand {
+impl LeasedHand {
     /// Leases the hand of the arm that the input names, for the skill in `context`.
     pub(crate) async fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let (model, arm) = (equipment.robot.model(), chosen(equipment, context)?);

@@ -21,13 +21,13 @@ const STEEPEST: f64 = 0.35;
 
 /// A plane with an outward normal.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Surface {
+pub(crate) struct ContactPlane {
     /// A point of it, root frame, m.
     at: Point3<f64>,
     normal: Unit<Vector3<f64>>,
 }
 
-impl Surface {
+impl ContactPlane {
     /// The surface through a point.
     pub(crate) fn new(at: Point3<f64>, normal: Unit<Vector3<f64>>) -> Self {
         Self { at, normal }
@@ -101,13 +101,13 @@ pub(crate) fn from_level(normal: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
 }
 
 /// Of the upper faces over which a point is, the one that is nearest below it.
-fn nearest_under(places: &[KnownBox], point: &Point3<f64>) -> Option<Surface> {
+fn nearest_under(places: &[KnownBox], point: &Point3<f64>) -> Option<ContactPlane> {
     let tops = places.iter().filter_map(|place| top_under(place, point));
     tops.min_by(|a, b| a.above(point).abs().total_cmp(&b.above(point).abs()))
 }
 
 /// The upper face of a place, if the point is over it.
-fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
+fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<ContactPlane> {
     let half = place.size / 2.0;
     let up = (place.root_from_box * Vector3::z()).z.signum();
     let in_box = place.root_from_box.inverse() * point;
@@ -118,7 +118,7 @@ fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<Surface> {
     let normal = Unit::new_normalize(place.root_from_box * Vector3::z() * up);
     let level_enough = normal.angle(&Vector3::z_axis()) < STEEPEST;
     let at = place.root_from_box * Point3::new(0.0, 0.0, up * half.z);
-    (over && level_enough).then(|| Surface::new(at, normal))
+    (over && level_enough).then(|| ContactPlane::new(at, normal))
 }
 
 #[cfg(test)]
@@ -148,13 +148,13 @@ mod tests {
         let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
         let remembered = Remembered { memory: &memory, transforms: &transforms };
         let point = Point3::new(0.3, 0.5, 0.93);
-        let known = Surface::under(remembered, &point).await.unwrap();
-        assert_eq!(known, Surface::level(point), "nothing is known");
+        let known = ContactPlane::under(remembered, &point).await.unwrap();
+        assert_eq!(known, ContactPlane::level(point), "nothing is known");
         let id = EntityId::new("EnvironmentModels", "test", "table").unwrap();
         let pose = Isometry3::new(Vector3::new(0.2, 0.6, 0.9), Vector3::x() * 0.2);
         let size = Value::from([1.0, 0.7, 0.0]);
         memory.commit(vec![Commit::new(id, 0, [("pose", pose_value(&pose)), ("size", size)])]).await.unwrap();
-        let known = Surface::under(remembered, &point).await.unwrap();
+        let known = ContactPlane::under(remembered, &point).await.unwrap();
         assert!((known.normal().into_inner() - pose * Vector3::z()).norm() < 1e-9);
         assert!(known.above(&(pose * Point3::new(0.1, 0.1, 0.0))).abs() < 1e-9);
         let there = known.at(0.35, 0.45);
@@ -172,7 +172,7 @@ mod tests {
         );
         assert!((top_in(&remembered, &there).unwrap().x - 0.1).abs() < 1e-9);
         assert!((top_in(&remembered, &here).unwrap().x - 0.2).abs() < 1e-9);
-        let beside = Surface::under(remembered, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();
+        let beside = ContactPlane::under(remembered, &Point3::new(2.0, 0.5, 0.93)).await.unwrap();
         assert_eq!(beside.normal(), Vector3::z_axis());
     }
 }

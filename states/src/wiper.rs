@@ -22,7 +22,7 @@ use crate::grasp::{hand, held_in_tcp};
 use crate::inputs::{Inputs, as_pose};
 use crate::motions::failed;
 use crate::running_motion::MotionOwner;
-use crate::surface::{Surface, from_level};
+use crate::surface::{ContactPlane, from_level};
 
 /// Largest rate of change of the pace (share of the learned frequency), 1/s.
 const PACE_RATE: f64 = 1.5;
@@ -38,7 +38,7 @@ pub(crate) struct GraspedTool {
     /// `root_from_tcp` when the hand closed: the tool then stood on the table.
     pub(crate) tcp: Isometry3<f64>,
     /// What it stood on, where that is known.
-    surface: Option<Surface>,
+    surface: Option<ContactPlane>,
 }
 
 impl GraspedTool {
@@ -47,21 +47,24 @@ impl GraspedTool {
         let tcp = context.value("grasp")?.get("tcp").and_then(as_pose);
         let tcp =
             tcp.ok_or_else(|| Failure::new("the input `grasp` does not say where the tool was grasped"))?;
-        Ok(Self { tcp, surface: context.value("grasp")?.get("surface").and_then(as_pose).map(Surface::of) })
+        Ok(Self {
+            tcp,
+            surface: context.value("grasp")?.get("surface").and_then(as_pose).map(ContactPlane::of),
+        })
     }
 
     /// The height of the TCP over the surface when the tool stood on it, m.
-    fn standing(&self, surface: &Surface) -> f64 {
+    fn standing(&self, surface: &ContactPlane) -> f64 {
         surface.above(&self.tcp.translation.vector.into())
     }
 
     /// What the tool stood on: at worst, what the hand faced there.
-    fn stood_on(&self, equipment: &Equipment, arm: &Limb) -> Result<Surface, Failure> {
+    fn stood_on(&self, equipment: &Equipment, arm: &Limb) -> Result<ContactPlane, Failure> {
         if let Some(surface) = self.surface {
             return Ok(surface);
         }
         let hand = hand(equipment.robot.model(), arm)?;
-        Ok(Surface::new(self.tcp * held_in_tcp(hand), hand.grasps_from(&self.tcp.rotation)))
+        Ok(ContactPlane::new(self.tcp * held_in_tcp(hand), hand.grasps_from(&self.tcp.rotation)))
     }
 }
 
@@ -84,7 +87,7 @@ struct MotionFrame {
 impl MotionFrame {
     /// On the surface through `middle` (root frame, m), where the TCP is in the middle of a motion with the centre x and y when
     /// the tool stands.
-    fn new(surface: &Surface, middle: &Point3<f64>, tool: (&GraspedTool, &Unit<Vector3<f64>>)) -> Self {
+    fn new(surface: &ContactPlane, middle: &Point3<f64>, tool: (&GraspedTool, &Unit<Vector3<f64>>)) -> Self {
         let turn = from_level(&surface.normal());
         let (tool, stood_on) = tool;
         let onto = UnitQuaternion::rotation_between_axis(stood_on, &surface.normal()).unwrap_or_default();
@@ -110,7 +113,7 @@ impl MotionFrame {
 pub(crate) struct Wiper {
     pub(crate) arm: LeasedArm,
     motion: MotionOwner,
-    stage: MotionFrame,
+    frame: MotionFrame,
     /// The hand's rotation, if the motion has one.
     turning: Option<PeriodicOrientationDmp>,
     pace: f64,
@@ -130,10 +133,10 @@ impl Wiper {
         let (arm, motion, stood_on) = Self::own(equipment, context, tool).await?;
         let [x, y] = middle_of(motion.motion());
         let here =
-            Surface::known_under(equipment.remembered(), &stood_on.at(x, y)).await?.unwrap_or(stood_on);
+            ContactPlane::known_under(equipment.remembered(), &stood_on.at(x, y)).await?.unwrap_or(stood_on);
         let middle = here.at(x, y) + here.normal().scale(tool.standing(&stood_on));
-        let stage = MotionFrame::new(&here, &middle, (tool, &stood_on.normal()));
-        Self::new(arm, motion, stage, context)
+        let frame = MotionFrame::new(&here, &middle, (tool, &stood_on.normal()));
+        Self::new(arm, motion, frame, context)
     }
 
     /// The same in free space: level, as it was shown, and high enough to be nowhere lower over the surface than in the middle.
@@ -144,9 +147,9 @@ impl Wiper {
     ) -> Result<Self, Failure> {
         let mut wiper = Self::take(equipment, context, tool).await?;
         let path = wiper.motion().primitive().steady_path(256).map_err(failed)?;
-        let on_surface = |y: &Vec<f64>| (wiper.stage.root_from_motion * Point3::new(y[0], y[1], 0.0)).z;
+        let on_surface = |y: &Vec<f64>| (wiper.frame.root_from_motion * Point3::new(y[0], y[1], 0.0)).z;
         let highest = path.y.iter().map(on_surface).fold(f64::NEG_INFINITY, f64::max);
-        wiper.stage.root_from_motion = Isometry3::translation(0.0, 0.0, highest);
+        wiper.frame.root_from_motion = Isometry3::translation(0.0, 0.0, highest);
         Ok(wiper)
     }
 
@@ -162,9 +165,9 @@ impl Wiper {
             Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
         })?;
         let middle = Point3::new(x, y, motion.motion().primitive().centre()[2]);
-        let here = Surface::new(middle, Unit::new_normalize(fitted.normal()));
-        let stage = MotionFrame::new(&here, &middle, (tool, &stood_on.normal()));
-        Ok((Self::new(arm, motion, stage, context)?, fitted))
+        let here = ContactPlane::new(middle, Unit::new_normalize(fitted.normal()));
+        let frame = MotionFrame::new(&here, &middle, (tool, &stood_on.normal()));
+        Ok((Self::new(arm, motion, frame, context)?, fitted))
     }
 
     /// The arm, the motion, and what the tool stood on.
@@ -172,7 +175,7 @@ impl Wiper {
         equipment: &Equipment,
         context: &SkillContext,
         tool: &GraspedTool,
-    ) -> Result<(LeasedArm, MotionOwner, Surface), Failure> {
+    ) -> Result<(LeasedArm, MotionOwner, ContactPlane), Failure> {
         let motion = equipment.motions.own(&equipment.memory, &context.entity("motion")?).await?;
         // It works on what the tool stood on, with the tool over the motion's middle.
         let [x, y] = middle_of(motion.motion());
@@ -187,17 +190,17 @@ impl Wiper {
     fn new(
         arm: LeasedArm,
         motion: MotionOwner,
-        stage: MotionFrame,
+        frame: MotionFrame,
         context: &SkillContext,
     ) -> Result<Self, Failure> {
         let turning = motion.motion().orientation().cloned();
         let channels = context.channels.clone();
         // The tool comes along the normal.
-        let contact = ContactFrame::new(&stage.normal()).map_err(failed)?;
+        let contact = ContactFrame::new(&frame.normal()).map_err(failed)?;
         let height = motion.motion().primitive().centre()[2];
         // Coaches see the motion in its own plane.
-        motion.set_frame(stage.root_from_motion * Translation3::new(0.0, 0.0, -height));
-        Ok(Self { arm, motion, stage, turning, pace: 0.0, contact, channels })
+        motion.set_frame(frame.root_from_motion * Translation3::new(0.0, 0.0, -height));
+        Ok(Self { arm, motion, frame, turning, pace: 0.0, contact, channels })
     }
 
     /// The motion as it was when it began to run.
@@ -217,24 +220,24 @@ impl Wiper {
 
     /// The surface's outward normal, on which it plays.
     pub(crate) fn normal(&self) -> Unit<Vector3<f64>> {
-        self.stage.normal()
+        self.frame.normal()
     }
 
     /// The height of the TCP over where it was when the tool stood, m.
     pub(crate) fn height(&self, sample: &Sensed) -> f64 {
         let tcp = Point3::from(self.arm.tcp(sample).translation.vector);
-        self.stage.root_from_motion.inverse_transform_point(&tcp).z
+        self.frame.root_from_motion.inverse_transform_point(&tcp).z
     }
 
     /// Keeps with the motion where its middle is when the TCP is `over` m over where it was when the tool stood.
     pub(crate) fn set_height(&mut self, over: f64) -> Result<(), Failure> {
         let [x, y] = self.motion.middle();
-        self.motion.set_height((self.stage.root_from_motion * Point3::new(x, y, over)).z)
+        self.motion.set_height((self.frame.root_from_motion * Point3::new(x, y, over)).z)
     }
 
     /// The pose of the TCP at a place of the motion.
     pub(crate) fn pose_at(&self, place: [f64; 2], over: f64) -> Isometry3<f64> {
-        self.stage.pose(place, over, None)
+        self.frame.pose(place, over, None)
     }
 
     /// The force with which the tool presses on the surface, N; at touchdown its direction is the first guess of the normal.
@@ -268,7 +271,7 @@ impl Wiper {
     /// Sets the primitive to the point of its steady path that is nearest to the TCP, at rest.
     pub(crate) fn start_nearest(&mut self, sample: &Sensed) -> Result<(), Failure> {
         let tcp = Point3::from(self.arm.tcp(sample).translation.vector);
-        let tcp = self.stage.root_from_motion.inverse_transform_point(&tcp);
+        let tcp = self.frame.root_from_motion.inverse_transform_point(&tcp);
         let path = self.motion().primitive().steady_path(256).map_err(failed)?;
         let distance = |s: usize| libm::hypot(path.y[s][0] - tcp.x, path.y[s][1] - tcp.y);
         let nearest = (0..path.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
@@ -316,7 +319,7 @@ impl Wiper {
         };
         let state = self.motion.state();
         let (phase, linear) = (state.phase, Vector3::new(state.yd[0], state.yd[1], height.rate));
-        let [linear, angular] = [linear, angular].map(|v| self.stage.root_from_motion * v);
+        let [linear, angular] = [linear, angular].map(|v| self.frame.root_from_motion * v);
         let goal = self.pose(height.over);
         let error = self.arm.track(sample, &goal, linear, angular)?;
         check_track(error)?;
@@ -327,7 +330,7 @@ impl Wiper {
     fn pose(&self, over: f64) -> Isometry3<f64> {
         let y = self.motion.state().y;
         let turned = self.turning.as_ref().map(|turning| turning.state().orientation);
-        self.stage.pose([y[0], y[1]], over, turned.as_ref())
+        self.frame.pose([y[0], y[1]], over, turned.as_ref())
     }
 
     fn publish(&mut self, sample: &Sensed, phase: f64, omega: f64) {

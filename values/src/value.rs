@@ -53,7 +53,7 @@ mod number {
 
     #[derive(Deserialize)]
     #[serde(untagged)]
-    enum Form {
+    enum NumberForm {
         Number(f64),
         Word(String),
     }
@@ -62,9 +62,9 @@ mod number {
         if !deserializer.is_human_readable() {
             return f64::deserialize(deserializer);
         }
-        match Form::deserialize(deserializer)? {
-            Form::Number(number) => Ok(number),
-            Form::Word(word) => word.parse().map_err(serde::de::Error::custom),
+        match NumberForm::deserialize(deserializer)? {
+            NumberForm::Number(number) => Ok(number),
+            NumberForm::Word(word) => word.parse().map_err(serde::de::Error::custom),
         }
     }
 }

@@ -60,7 +60,7 @@ struct Eye {
 }
 
 /// A pose and the quality of its fit.
-struct Fit {
+struct PoseFit {
     found: ObjectEstimate,
     /// Fraction of the silhouette that shows the surroundings.
     contradicted: f64,
@@ -129,14 +129,14 @@ impl ObjectLocalizer {
         let masks = [&frame.left, &frame.right].map(|image| self.color.segment(image));
         let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let surface_from_left = self.surface.inverse() * frame.root_from_left;
-        let mut best: Option<Fit> = None;
+        let mut best: Option<PoseFit> = None;
         for l in left.iter().take(4) {
             for r in right.iter().take(4) {
                 let Some(start) = self.start(l, r, &surface_from_left) else { continue };
                 let eyes =
                     [Self::eye(l, &left, &frame.left, start.1), Self::eye(r, &right, &frame.right, start.1)];
-                let fit = self.fit(&eyes, &start.0, &surface_from_left).filter(Fit::convinces);
-                let better = |fit: &Fit| best.as_ref().is_none_or(|best| fit.quality() > best.quality());
+                let fit = self.fit(&eyes, &start.0, &surface_from_left).filter(PoseFit::convinces);
+                let better = |fit: &PoseFit| best.as_ref().is_none_or(|best| fit.quality() > best.quality());
                 best = fit.filter(better).or(best);
             }
         }
@@ -159,7 +159,9 @@ impl ObjectLocalizer {
             Self::eye(left.first()?, &left, &frame.left, radius_px),
             Self::eye(right.first()?, &right, &frame.right, radius_px),
         ];
-        self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root).filter(Fit::convinces).map(|fit| fit.found)
+        self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root)
+            .filter(PoseFit::convinces)
+            .map(|fit| fit.found)
     }
 
     /// The box about where it is expected (root frame), with roll and pitch up to about `tilt` rad from those.
@@ -169,7 +171,7 @@ impl ObjectLocalizer {
         expected: &Isometry3<f64>,
         tilt: f64,
         left_from_root: &Isometry3<f64>,
-    ) -> Option<Fit> {
+    ) -> Option<PoseFit> {
         let pose = |by: &Vector6<f64>| moved(expected, by);
         let outlines = |by: &Vector6<f64>| self.outlines_at(&(left_from_root * pose(by)));
         let steps = Vector6::new(2e-4, 2e-4, 2e-4, 1e-3, 1e-3, 1e-3);
@@ -228,7 +230,12 @@ impl ObjectLocalizer {
         Eye { area, border: border_points(&object, w, h), center: seed.centroid, surroundings, object: sums }
     }
 
-    fn fit(&self, eyes: &[Eye; 2], start: &Point3<f64>, surface_from_left: &Isometry3<f64>) -> Option<Fit> {
+    fn fit(
+        &self,
+        eyes: &[Eye; 2],
+        start: &Point3<f64>,
+        surface_from_left: &Isometry3<f64>,
+    ) -> Option<PoseFit> {
         let left_from_surface = surface_from_left.inverse();
         let outlines = |pose: &Pose4| self.outlines_at(&(left_from_surface * isometry(pose)));
         let camera = &self.calibration.camera;
@@ -260,7 +267,7 @@ impl ObjectLocalizer {
         let turn = self.surface.to_rotation_matrix();
         let covariance = turn * covariance.fixed_view::<3, 3>(0, 0) * turn.transpose();
         let upright = self.surface * isometry(&Pose4::new(pose.x, pose.y, pose.z, half_turn(pose.w)));
-        let fit = self.judge((upright, covariance), &outlines(&pose)?, eyes).filter(Fit::convinces);
+        let fit = self.judge((upright, covariance), &outlines(&pose)?, eyes).filter(PoseFit::convinces);
         // The surface may be tilted otherwise than is believed, as where the cameras are.
         fit.or_else(|| {
             self.tilted(eyes, &upright, SURFACE_SIGMA, &(left_from_surface * self.surface.inverse()))
@@ -280,7 +287,7 @@ impl ObjectLocalizer {
         (root_from_object, covariance): (Isometry3<f64>, Matrix3<f64>),
         outlines: &[ConvexOutline; 2],
         eyes: &[Eye; 2],
-    ) -> Option<Fit> {
+    ) -> Option<PoseFit> {
         let (mut visible, mut contradicted, mut spilled, mut in_pictures) = (0.0, 0.0, 0.0, 0.0);
         let (mut on, mut all, mut squares) = (0.0, 0.0, 0.0);
         for (outline, eye) in outlines.iter().zip(eyes) {
@@ -303,7 +310,7 @@ impl ObjectLocalizer {
         // What hides a part may hide an error.
         let hidden = (in_pictures - visible).max(0.0) / visible.max(0.05);
         let inflate = 1.0 + 6.0 * (hidden - 0.1).max(0.0);
-        (on > 0.0 && visible > 0.0).then(|| Fit {
+        (on > 0.0 && visible > 0.0).then(|| PoseFit {
             found: ObjectEstimate {
                 root_from_object,
                 covariance: covariance * (inflate * inflate),
@@ -359,7 +366,7 @@ fn on_the_border<const N: usize>(
     (pose, information)
 }
 
-impl Fit {
+impl PoseFit {
     /// Whether the fit is good enough to accept the object.
     fn convinces(&self) -> bool {
         self.found.visible > 0.25

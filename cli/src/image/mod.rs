@@ -35,7 +35,7 @@ enum ImageCommand {
     /// List the providers that can be reached, with their images.
     Ls(LsArgs),
     /// Show a provider live in a browser page of this machine, or write its images as PNG.
-    View(ViewArgs),
+    View(ImageViewArgs),
     /// Record providers into an MCAP file, without loss.
     Record(RecordArgs),
     /// Offer a recording, or images of files, as a provider.
@@ -70,7 +70,7 @@ pub(crate) struct SourceArgs {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-pub(crate) struct ViewArgs {
+pub(crate) struct ImageViewArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
     /// Write each image as a PNG file into this folder, instead of showing a page; depth as 16 bit gray, mm.

@@ -20,7 +20,7 @@ const ENDINGS: [&str; 4] = ["mcap", "png", "jpg", "jpeg"];
 const RATE_HZ: f64 = 30.0;
 
 /// A provider, with its remote end if it is in another process.
-pub(super) struct Source {
+pub(super) struct OpenedProvider {
     pub(super) provider: Arc<dyn ImageProvider>,
     pub(super) remote: Option<Arc<RemoteProvider>>,
 }
@@ -32,23 +32,23 @@ pub(super) async fn open(
     connection: &Connection,
     coding: ImageCoding,
     speed: Option<f64>,
-) -> Result<Source, Failure> {
+) -> Result<OpenedProvider, Failure> {
     let delivery = Delivery::Newest;
     if Path::new(&args.source).exists() {
         let pace = Pace { speed, repeat: false };
         let provider =
             file(&[args.source.as_str().into()], "files", args.topic.as_deref(), RATE_HZ, pace).await?;
-        return Ok(Source { provider, remote: None });
+        return Ok(OpenedProvider { provider, remote: None });
     }
     let remote = Arc::new(remote(&args.source, connection, delivery, coding).await?);
-    Ok(Source { provider: Arc::clone(&remote) as Arc<dyn ImageProvider>, remote: Some(remote) })
+    Ok(OpenedProvider { provider: Arc::clone(&remote) as Arc<dyn ImageProvider>, remote: Some(remote) })
 }
 
 /// As [`open`], for the newest frames of a stereo pair; returns its description and the pairs.
 pub(super) async fn open_pair(
     args: &SourceArgs,
     connection: &Connection,
-) -> Result<(Source, ProviderDescription, StereoPair), Failure> {
+) -> Result<(OpenedProvider, ProviderDescription, StereoPair), Failure> {
     let source = open(args, connection, ImageCoding::Raw, None).await?;
     let described = source.provider.description();
     let pair = StereoPair::of(&described);

@@ -11,13 +11,13 @@ use armarium_visionx::providers::{ImageCoding, RawFrame};
 use armarium_viewer::image_page;
 use tokio::net::TcpListener;
 
-use super::{Failure, ViewArgs, argument, failed, source};
+use super::{Failure, ImageViewArgs, argument, failed, source};
 use crate::stopped::stopped;
 use armarium_host::Connection;
 
 /// Shows the page until Ctrl-C, or writes the requested number of frames.
 pub(super) async fn run(
-    args: &ViewArgs,
+    args: &ImageViewArgs,
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
@@ -51,7 +51,7 @@ pub(super) async fn run(
     }
 }
 
-async fn show(source: source::Source, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
+async fn show(source: source::OpenedProvider, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
     let listener = TcpListener::bind(("127.0.0.1", port)).await;
     let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
     let address = listener.local_addr().map_err(failed)?;

@@ -133,7 +133,7 @@ enum MemoryCommand {
         what: Inferences,
     },
     /// Run the memory of an agent until Ctrl-C.
-    Serve(serve::ServeArgs),
+    Serve(serve::MemoryServeArgs),
 }
 
 /// The built-in inferences.

@@ -16,7 +16,7 @@ use crate::stopped::stopped;
 use armarium_host::connection::take_name;
 
 #[derive(Clone, Debug, Args)]
-pub(super) struct ServeArgs {
+pub(super) struct MemoryServeArgs {
     /// The agent's name.
     #[arg(long, default_value = LOCAL)]
     name: String,
@@ -42,7 +42,11 @@ pub(super) struct ServeArgs {
 }
 
 /// Runs until Ctrl-C or the system's request to end.
-pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(super) async fn serve(
+    args: &MemoryArgs,
+    serve: &MemoryServeArgs,
+    out: &mut dyn Write,
+) -> Result<u8, Failure> {
     if args.agent != LOCAL {
         let what =
             format!("--agent names a memory that runs already; one that is to run has --name {}", args.agent);
@@ -90,7 +94,7 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     Ok(0)
 }
 
-fn settings(serve: &ServeArgs, follow: &str) -> Result<FollowSettings, Failure> {
+fn settings(serve: &MemoryServeArgs, follow: &str) -> Result<FollowSettings, Failure> {
     let (agent, pattern) = match follow.split_once(':') {
         Some((agent, segment)) => (agent, Pattern::segment(segment)),
         None => (follow, Pattern::any()),

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 /// A rectangle, px of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub(super) struct Rectangle {
+pub(super) struct PixelRectangle {
     x: u32,
     y: u32,
     w: u32,
@@ -30,7 +30,7 @@ pub(super) struct HandLine {
     pub(super) file: String,
     pub(super) gesture: Option<String>,
     pub(super) confidence: f64,
-    pub(super) hand: Option<Rectangle>,
+    pub(super) hand: Option<PixelRectangle>,
     pub(super) fingertips: Vec<Tip>,
 }
 
@@ -39,7 +39,7 @@ pub(super) struct HandLine {
 pub(super) struct SkinLine {
     pub(super) file: String,
     pub(super) confidence: f64,
-    pub(super) hand: Option<Rectangle>,
+    pub(super) hand: Option<PixelRectangle>,
     /// Fraction of the image.
     pub(super) share: f64,
 }
@@ -57,7 +57,7 @@ pub(super) struct MarkerPlace {
     pub(super) x: f64,
     pub(super) y: f64,
     pub(super) area: u32,
-    pub(super) bounds: Rectangle,
+    pub(super) bounds: PixelRectangle,
 }
 
 /// A file that is not a readable image.
@@ -67,7 +67,7 @@ pub(super) struct ErrorLine {
     pub(super) error: String,
 }
 
-impl From<Region> for Rectangle {
+impl From<Region> for PixelRectangle {
     fn from(r: Region) -> Self {
         Self { x: r.x, y: r.y, w: r.width, h: r.height }
     }

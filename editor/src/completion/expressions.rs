@@ -4,11 +4,11 @@ use armarium_source::Span;
 use armarium_values::{Type, expr};
 
 use super::{Completing, Icon, Proposal};
-use crate::cursor::{Cursor, PathStep};
+use crate::cursor::{PathStep, TextCursor};
 
 impl Completing<'_> {
     /// What an expression may go on with; `written` is its text before the place.
-    pub(super) fn expression(&self, cursor: &Cursor, written: &str) -> (Vec<Proposal>, Span) {
+    pub(super) fn expression(&self, cursor: &TextCursor, written: &str) -> (Vec<Proposal>, Span) {
         let span = cursor.word;
         let in_quotes = |function: &str| {
             let at = written.rfind(&format!("{function}("))?;
@@ -18,7 +18,7 @@ impl Completing<'_> {
         let event = self.event_type(cursor);
         let proposals = self.scoped(cursor, |scope| {
             if in_quotes("active").is_some() {
-                return self.targets(&Cursor { path: Vec::new(), ..cursor.clone() }, scope);
+                return self.targets(&TextCursor { path: Vec::new(), ..cursor.clone() }, scope);
             }
             let channels = scope.library.channels_of(scope.chart, &self.workspace.catalog.channels);
             let roots = scope.roots(&channels, event);
@@ -65,7 +65,7 @@ impl Completing<'_> {
     }
 
     /// What comes with the event that the place's transition answers.
-    fn event_type(&self, cursor: &Cursor) -> Type {
+    fn event_type(&self, cursor: &TextCursor) -> Type {
         let mut path = cursor.path.iter();
         let event = path
             .find(|step| matches!(step, PathStep::Key(key) if key == "transitions"))

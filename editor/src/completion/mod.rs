@@ -13,10 +13,10 @@ use lsp_types::{
     MarkupContent, MarkupKind, Position, TextEdit, Uri,
 };
 
-use crate::cursor::{Cursor, CursorPlace, PathStep};
+use crate::cursor::{CursorPlace, PathStep, TextCursor};
 use crate::kind::FileKind;
 use crate::schemas::Forms;
-use crate::scope::{Scope, shown};
+use crate::scope::{StateScope, shown};
 use crate::uri;
 use crate::workspace::{Analysis, Document, Workspace};
 
@@ -71,7 +71,7 @@ impl Workspace {
         let Some(document) = self.document(&path) else { return Vec::new() };
         let source = &document.source;
         let offset = document.lines.offset(&source.text, position);
-        let Some(cursor) = Cursor::at(source, offset) else { return Vec::new() };
+        let Some(cursor) = TextCursor::at(source, offset) else { return Vec::new() };
         // A file that does not say yet what it is begins like a chart, or with the key of another kind.
         let kind = document.kind.unwrap_or(FileKind::Chart);
         let nothing_else = cursor.path.is_empty() && cursor.siblings(source).is_empty();
@@ -106,7 +106,7 @@ struct Completing<'w> {
 }
 
 impl Completing<'_> {
-    fn at(&self, cursor: &Cursor) -> Vec<CompletionItem> {
+    fn at(&self, cursor: &TextCursor) -> Vec<CompletionItem> {
         let (proposals, span) = match cursor.place {
             CursorPlace::Key => {
                 let mut proposals = self.keys(cursor);
@@ -122,7 +122,7 @@ impl Completing<'_> {
     }
 
     /// The key that is being written, with a dot in it.
-    fn key_span(&self, cursor: &Cursor) -> Span {
+    fn key_span(&self, cursor: &TextCursor) -> Span {
         let text = &self.source.text;
         let part = |c: char| c.is_alphanumeric() || matches!(c, '_' | '.' | '-');
         let before =
@@ -148,7 +148,7 @@ impl Completing<'_> {
     }
 
     /// What the chart is that the document is, or that it tests, seen from the state that the place is in.
-    fn scoped<T>(&self, cursor: &Cursor, work: impl FnOnce(&Scope<'_>) -> T) -> Option<T> {
+    fn scoped<T>(&self, cursor: &TextCursor, work: impl FnOnce(&StateScope<'_>) -> T) -> Option<T> {
         let analysis = self.readable?;
         let tested;
         let (library, outline);
@@ -157,7 +157,13 @@ impl Completing<'_> {
             let chart = tested.charts.get(&tested.root)?;
             let outline = armarium_runtime::chart::Outline::of(chart);
             let registry = &self.workspace.catalog.registry;
-            return Some(work(&Scope { library: &tested, registry, chart, outline: &outline, state: 0 }));
+            return Some(work(&StateScope {
+                library: &tested,
+                registry,
+                chart,
+                outline: &outline,
+                state: 0,
+            }));
         }
         (library, outline) = (analysis.library.as_ref()?, analysis.outline()?);
         let mut state = 0;
@@ -170,12 +176,12 @@ impl Completing<'_> {
             state = *child;
         }
         let registry = &self.workspace.catalog.registry;
-        Some(work(&Scope { library, registry, chart: analysis.chart()?, outline, state }))
+        Some(work(&StateScope { library, registry, chart: analysis.chart()?, outline, state }))
     }
 
     // Keys.
 
-    fn keys(&self, cursor: &Cursor) -> Vec<Proposal> {
+    fn keys(&self, cursor: &TextCursor) -> Vec<Proposal> {
         if self.document.kind.is_none() {
             let first = |(kind, key): (FileKind, &'static str)| {
                 Proposal::new(key, Icon::FILE).detail(kind.called()).insert(format!("{key}: "))
@@ -210,7 +216,7 @@ impl Completing<'_> {
     }
 
     /// Keys that are names: of events, inputs, variables, skills.
-    fn names_as_keys(&self, cursor: &Cursor) -> Vec<Proposal> {
+    fn names_as_keys(&self, cursor: &TextCursor) -> Vec<Proposal> {
         let under = match cursor.path.last() {
             Some(PathStep::Key(key)) => key.as_str(),
             _ => return Vec::new(),
@@ -261,7 +267,7 @@ impl Completing<'_> {
     }
 
     /// The states whose inputs a `with` gives: that of a transition's target, or of the state itself.
-    fn entered(&self, cursor: &Cursor, scope: &Scope<'_>) -> Vec<usize> {
+    fn entered(&self, cursor: &TextCursor, scope: &StateScope<'_>) -> Vec<usize> {
         let layout = self.source.layout();
         let target = cursor.entry.and_then(|with| layout.entries[with].parent).and_then(|transition| {
             let at = layout.child(&self.source.text, Some(transition), "target")?;
@@ -277,7 +283,7 @@ impl Completing<'_> {
     }
 
     /// The events that a state may answer: how it ends first, and of those what it does not answer yet.
-    fn answers(&self, scope: &Scope<'_>) -> Vec<Proposal> {
+    fn answers(&self, scope: &StateScope<'_>) -> Vec<Proposal> {
         let outcome = |name: String| {
             let icon = Icon::EVENT;
             Proposal::new(name, icon).detail("how this state can end").rank(0)
@@ -298,7 +304,7 @@ impl Completing<'_> {
     }
 
     /// Events that charts declare and skills raise, each with where it comes from.
-    fn events(&self, scope: &Scope<'_>) -> Vec<(String, String)> {
+    fn events(&self, scope: &StateScope<'_>) -> Vec<(String, String)> {
         let mut events: Vec<(String, String)> = Vec::new();
         for chart in scope.library.charts.values() {
             events.extend(

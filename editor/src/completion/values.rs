@@ -8,13 +8,13 @@ use armarium_values::{Fit, Type, Unit};
 
 use super::expressions::{expression_before, words};
 use super::{Completing, Icon, Proposal, placeholder, snippet_text};
-use crate::cursor::{Cursor, PathStep};
+use crate::cursor::{PathStep, TextCursor};
 use crate::kind::FileKind;
-use crate::scope::Scope;
+use crate::scope::StateScope;
 use crate::symbols::describe;
 
 impl Completing<'_> {
-    pub(super) fn values(&self, cursor: &Cursor) -> (Vec<Proposal>, Span) {
+    pub(super) fn values(&self, cursor: &TextCursor) -> (Vec<Proposal>, Span) {
         let text = &self.source.text;
         let before = &text[cursor.before.start..cursor.before.end];
         let condition = self.forms.is("condition");
@@ -37,7 +37,7 @@ impl Completing<'_> {
     }
 
     /// Names that a value may be, by what the form says that it is.
-    fn domain(&self, cursor: &Cursor, quoted: bool) -> Vec<Proposal> {
+    fn domain(&self, cursor: &TextCursor, quoted: bool) -> Vec<Proposal> {
         let forms = &self.forms;
         let mut proposals = Vec::new();
         if forms.is("skill") {
@@ -105,7 +105,7 @@ impl Completing<'_> {
     }
 
     /// A skill, with places for the inputs that it must have.
-    fn skill_state(&self, cursor: &Cursor, manifest: &SkillManifest) -> Proposal {
+    fn skill_state(&self, cursor: &TextCursor, manifest: &SkillManifest) -> Proposal {
         let proposal = self.skill(&manifest.name);
         let required: Vec<&Parameter> =
             manifest.inputs.iter().filter(|input| input.default.is_none()).collect();
@@ -124,7 +124,7 @@ impl Completing<'_> {
         proposal.snippet(format!("{}{join}{with}", manifest.name))
     }
 
-    pub(super) fn targets(&self, cursor: &Cursor, scope: &Scope<'_>) -> Vec<Proposal> {
+    pub(super) fn targets(&self, cursor: &TextCursor, scope: &StateScope<'_>) -> Vec<Proposal> {
         // `initial` leads inside, a transition to what can be seen from its state.
         let inside = cursor.path.iter().any(|step| matches!(step, PathStep::Key(key) if key == "initial"));
         let states = &scope.outline.states;
@@ -140,7 +140,7 @@ impl Completing<'_> {
         visible.into_iter().map(shown).collect()
     }
 
-    fn in_test(&self, cursor: &Cursor, scope: &Scope<'_>) -> Vec<Proposal> {
+    fn in_test(&self, cursor: &TextCursor, scope: &StateScope<'_>) -> Vec<Proposal> {
         let states = || {
             let all = scope
                 .library
@@ -165,7 +165,7 @@ impl Completing<'_> {
     }
 
     /// What may be given to an input: its words, and variables that fit.
-    fn given(&self, cursor: &Cursor, quoted: bool) -> Vec<Proposal> {
+    fn given(&self, cursor: &TextCursor, quoted: bool) -> Vec<Proposal> {
         let under =
             |key: &str| cursor.path.iter().any(|step| matches!(step, PathStep::Key(name) if name == key));
         if self.kind == FileKind::Chart && under("assign") {
@@ -182,7 +182,7 @@ impl Completing<'_> {
         if self.kind != FileKind::Chart || !under("with") {
             return Vec::new();
         }
-        let with = Cursor {
+        let with = TextCursor {
             entry: cursor.entry.and_then(|e| self.source.layout().entries[e].parent),
             ..cursor.clone()
         };

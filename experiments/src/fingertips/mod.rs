@@ -9,7 +9,7 @@ use armarium_visionx::tracking::{
 };
 use nalgebra::{Point2, Vector2};
 
-use self::stage::{BACKGROUNDS, CALIBRATION, CHANGES, Stage, TrueTip, Truth, blackout};
+use self::stage::{BACKGROUNDS, CALIBRATION, CHANGES, HandTruth, Stage, TrueTip, blackout};
 
 pub use self::stage::RATE_HZ;
 
@@ -36,7 +36,7 @@ struct Variant {
 
 /// The result of one variant.
 #[derive(Debug, Default)]
-struct Score {
+struct VariantScore {
     /// Distances of visible tips from the nearest track, px; infinite for lost tips.
     errors: Vec<f64>,
     lost: usize,
@@ -98,7 +98,7 @@ pub struct GestureFigures {
 pub fn figures(seeds: u64, frames: u64, all: bool) -> (Vec<TrackingFigures>, GestureFigures) {
     let variants = variants();
     let chosen = if all { &variants[..] } else { &variants[..1] };
-    let mut scores: Vec<Score> = chosen.iter().map(|_| Score::default()).collect();
+    let mut scores: Vec<VariantScore> = chosen.iter().map(|_| VariantScore::default()).collect();
     let mut gestures = Gestures::default();
     for (seed, background) in (0..seeds).flat_map(|s| (0..BACKGROUNDS).map(move |b| (s, b))) {
         play(&Stage::new(seed, background), frames, chosen, &mut scores, &mut gestures);
@@ -158,7 +158,13 @@ fn variants() -> Vec<Variant> {
     ]
 }
 
-fn play(stage: &Stage, frames: u64, variants: &[Variant], scores: &mut [Score], gestures: &mut Gestures) {
+fn play(
+    stage: &Stage,
+    frames: u64,
+    variants: &[Variant],
+    scores: &mut [VariantScore],
+    gestures: &mut Gestures,
+) {
     let mut tracking: Vec<FingerTipTracking> =
         variants.iter().map(|v| FingerTipTracking::new(CALIBRATION, v.settings)).collect();
     let mut observer = HandObserver::new(CALIBRATION).with_near_hands();
@@ -210,8 +216,8 @@ fn distance(tips: &[TrackedFingertip], truth: &TrueTip) -> f64 {
     tips.iter().map(|t| (t.px - truth.px).norm()).fold(f64::INFINITY, f64::min)
 }
 
-impl Score {
-    fn count(&mut self, tips: &[TrackedFingertip], truth: &Truth) {
+impl VariantScore {
+    fn count(&mut self, tips: &[TrackedFingertip], truth: &HandTruth) {
         for tip in &truth.tips {
             let distance = nearest(tips, tip);
             self.lost += usize::from(distance.is_none());
@@ -243,7 +249,7 @@ impl Score {
 }
 
 impl Gestures {
-    fn count(&mut self, number: u64, truth: &Truth, right: bool, noticed: &mut bool) {
+    fn count(&mut self, number: u64, truth: &HandTruth, right: bool, noticed: &mut bool) {
         if truth.since == 0 && number > 0 {
             *noticed = false;
         }

@@ -45,7 +45,7 @@ pub(super) struct TrueTip {
 
 /// The truth of one frame.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Truth {
+pub(super) struct HandTruth {
     pub(super) gesture: Gesture,
     /// Frames since the gesture began.
     pub(super) since: u64,
@@ -129,7 +129,7 @@ impl Stage {
     }
 
     /// A frame with its truth.
-    pub(super) fn frame(&self, number: u64) -> (StereoFrame, Truth) {
+    pub(super) fn frame(&self, number: u64) -> (StereoFrame, HandTruth) {
         let left_from_hand = self.hand(self.time(number));
         let (pose, gesture) = self.pose(number);
         let scene_from_hand = self.viewpoints[0].scene_from_camera * left_from_hand;
@@ -164,7 +164,7 @@ impl Stage {
             depth: Some(Arc::new(left.depth)),
             root_from_left: Isometry3::identity(),
         };
-        (frame, Truth { gesture, since: number % STAYS, tips, whole })
+        (frame, HandTruth { gesture, since: number % STAYS, tips, whole })
     }
 }
 

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::arm4::Arm4;
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult};
-use super::settings::{Setting, Settings as _, settings};
+use super::settings::{ExperimentSettings as _, Setting, settings};
 
 /// The space of the primitives and of the learned control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{ExperimentError, within};
 use super::experiment::{Experiment, ExperimentResult, panel};
-use super::settings::{Setting, Settings as _, settings};
+use super::settings::{ExperimentSettings as _, Setting, settings};
 
 /// The waveform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,7 +44,7 @@ impl Setting for Signal {}
 /// The update rule of phase and frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Rule {
+pub(crate) enum UpdateRule {
     /// `scaled` with an estimated start, `bare` without.
     Auto,
     /// The phase error of the whole signal, in a loop with scaled gains.
@@ -55,7 +55,7 @@ pub(crate) enum Rule {
     Paper,
 }
 
-impl Setting for Rule {}
+impl Setting for UpdateRule {}
 
 settings! {
     /// Settings of the oscillator.
@@ -73,7 +73,7 @@ settings! {
         /// Whether the start frequency is estimated from the signal so far.
         estimate: bool = true;
         /// auto (scaled with estimate, bare without), scaled, bare or paper.
-        rule: Rule = Rule::Auto;
+        rule: UpdateRule = UpdateRule::Auto;
         /// K of (1), (2): unscaled for the paper's rule; for the bare rule the value at 1.3 Hz for a signal
         /// between -1 and 1.
         coupling: f64 = 15.0;
@@ -158,8 +158,8 @@ impl Oscillator {
     fn config(&self) -> OscillatorConfig {
         let (coupling, learning) = (self.coupling, self.learning);
         let rule = match (self.rule, self.estimate) {
-            (Rule::Paper, _) => OscillatorRule::Paper { coupling, learning },
-            (Rule::Bare, _) | (Rule::Auto, false) => {
+            (UpdateRule::Paper, _) => OscillatorRule::Paper { coupling, learning },
+            (UpdateRule::Bare, _) | (UpdateRule::Auto, false) => {
                 OscillatorRule::Bare { coupling: coupling / 1.3, learning: learning / 1.3 }
             }
             _ => OscillatorRule::Scaled,

@@ -12,7 +12,7 @@ use std::time::Duration;
 use armarium_values::Value;
 use async_trait::async_trait;
 
-use super::solid::{Solid, between};
+use super::solid::{SolidObject, between};
 use super::{Conclusion, Inference, joined};
 use crate::entity::Snapshot;
 use crate::error::MemoryError;
@@ -43,7 +43,7 @@ const LEAST: f64 = 0.5;
 pub struct SpatialRelations;
 
 /// All relations among the objects. Only boxes within reach of each other along x are compared.
-fn relations(mut solids: Vec<Solid>) -> Vec<Conclusion> {
+fn relations(mut solids: Vec<SolidObject>) -> Vec<Conclusion> {
     solids.sort_by(|a, b| a.min(X).total_cmp(&b.min(X)).then_with(|| a.id.cmp(&b.id)));
     let unsure = 6.0 * solids.iter().map(|s| s.variance[X]).fold(0.0, f64::max).sqrt();
     let reach = BESIDE.max(NEAR) + 2.0 * unsure;
@@ -60,7 +60,7 @@ fn relations(mut solids: Vec<Solid>) -> Vec<Conclusion> {
 }
 
 /// The relations of two objects. "Near" is written once per pair, and not where one is in or on the other.
-fn of_two(a: &Solid, b: &Solid) -> Vec<Conclusion> {
+fn of_two(a: &SolidObject, b: &SolidObject) -> Vec<Conclusion> {
     let mut found = Vec::new();
     for (a, b) in [(a, b), (b, a)] {
         let inside = probability_in(a, b);
@@ -77,7 +77,7 @@ fn of_two(a: &Solid, b: &Solid) -> Vec<Conclusion> {
 }
 
 /// The underside of `a` is at the top of `b`, and the centre of `a` is above `b`.
-fn probability_on(a: &Solid, b: &Solid) -> f64 {
+fn probability_on(a: &SolidObject, b: &SolidObject) -> f64 {
     if a.half.is_none() || b.half.is_none() {
         return 0.0;
     }
@@ -86,7 +86,7 @@ fn probability_on(a: &Solid, b: &Solid) -> f64 {
 }
 
 /// The gap between the two is small along every axis.
-fn probability_near(a: &Solid, b: &Solid) -> f64 {
+fn probability_near(a: &SolidObject, b: &SolidObject) -> f64 {
     (0..3)
         .map(|axis| {
             let reach = NEAR + halves(a, b, axis);
@@ -96,7 +96,7 @@ fn probability_near(a: &Solid, b: &Solid) -> f64 {
 }
 
 /// All of `a` is left of all of `b`, within reach, and not behind, before or above it.
-fn probability_left(a: &Solid, b: &Solid) -> f64 {
+fn probability_left(a: &SolidObject, b: &SolidObject) -> f64 {
     let gap = between(b.min(X) - a.max(X), a.sigma(b, X), 0.0, BESIDE);
     let beside = |axis: usize| {
         let reach = halves(a, b, axis).max(TOUCHING);
@@ -106,12 +106,12 @@ fn probability_left(a: &Solid, b: &Solid) -> f64 {
 }
 
 /// The relation of `a` to `b`, if its confidence is high enough.
-fn conclusion(a: &Solid, b: &Solid, relation: &str, probability: f64) -> Option<Conclusion> {
+fn conclusion(a: &SolidObject, b: &SolidObject, relation: &str, probability: f64) -> Option<Conclusion> {
     let confidence = (probability * a.confidence.min(b.confidence)).clamp(0.0, 1.0);
     if confidence < LEAST {
         return None;
     }
-    let name = |s: &Solid| joined(&[s.id.provider(), s.id.entity()]);
+    let name = |s: &SolidObject| joined(&[s.id.provider(), s.id.entity()]);
     let attributes = [
         ("subject".to_owned(), Value::from(a.id.as_str())),
         ("relation".to_owned(), relation.into()),
@@ -129,17 +129,17 @@ fn conclusion(a: &Solid, b: &Solid, relation: &str, probability: f64) -> Option<
 }
 
 /// The centre of `a` is within the extent of `b` along an axis.
-fn over(a: &Solid, b: &Solid, axis: usize) -> f64 {
+fn over(a: &SolidObject, b: &SolidObject, axis: usize) -> f64 {
     between(a.centre[axis], a.sigma(b, axis), b.min(axis), b.max(axis))
 }
 
 /// Half the sum of both extents.
-fn halves(a: &Solid, b: &Solid, axis: usize) -> f64 {
+fn halves(a: &SolidObject, b: &SolidObject, axis: usize) -> f64 {
     a.half.map_or(0.0, |half| half[axis]) + b.half.map_or(0.0, |half| half[axis])
 }
 
 /// The centre of `a` is inside `b`, and `a` is smaller.
-fn probability_in(a: &Solid, b: &Solid) -> f64 {
+fn probability_in(a: &SolidObject, b: &SolidObject) -> f64 {
     if a.half.is_none() || b.half.is_none() || a.volume() >= b.volume() {
         return 0.0;
     }
@@ -175,7 +175,7 @@ impl Inference for SpatialRelations {
         let mut solids = Vec::new();
         for segment in [OBJECT_INSTANCES, ENVIRONMENT] {
             let held = memory.segment(segment).await?;
-            solids.extend(held.iter().filter_map(|s| Solid::new(s, size_of(s, &classes))));
+            solids.extend(held.iter().filter_map(|s| SolidObject::new(s, size_of(s, &classes))));
         }
         Ok(relations(solids))
     }

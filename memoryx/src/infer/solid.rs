@@ -11,7 +11,7 @@ const MIN_SIGMA: f64 = 0.005;
 
 /// An object.
 #[derive(Clone, Debug)]
-pub(super) struct Solid {
+pub(super) struct SolidObject {
     pub(super) id: EntityId,
     pub(super) version: u64,
     pub(super) referenced_ns: u64,
@@ -26,7 +26,7 @@ pub(super) struct Solid {
     pub(super) confidence: f64,
 }
 
-impl Solid {
+impl SolidObject {
     /// The object of a snapshot; `size`: its extent along its own axes, m. `None` when it has no position.
     pub(super) fn new(snapshot: &Snapshot, size: Option<[f64; 3]>) -> Option<Self> {
         let (frame, centre) = place_of(snapshot)?;

@@ -18,10 +18,10 @@ const WINDOW_LENGTH: Duration = Duration::from_secs(1);
 
 /// The refusals of the present period.
 #[derive(Debug, Default)]
-pub(super) struct Refusals(Mutex<Window>);
+pub(super) struct Refusals(Mutex<LogWindow>);
 
 #[derive(Debug, Default)]
-struct Window {
+struct LogWindow {
     since: Option<Instant>,
     logged: BTreeMap<String, u32>,
     left_out: u64,
@@ -37,7 +37,7 @@ impl Refusals {
             if left_out > 0 {
                 tracing::warn!(left_out, "more was refused than is logged one by one");
             }
-            *lately = Window { since: Some(now), ..Window::default() };
+            *lately = LogWindow { since: Some(now), ..LogWindow::default() };
         }
         let logged = lately.logged.get(sender).copied().unwrap_or(0);
         if logged < MAX_LOGGED && (logged > 0 || lately.logged.len() < MAX_SENDERS) {

@@ -148,7 +148,7 @@ fn sums_at(group: u64) -> u64 {
 }
 
 /// A part of the database's blocks that lies in one group.
-struct Run {
+struct BlockRun {
     group: u64,
     /// The first of its blocks, counted in the group.
     first: usize,
@@ -159,7 +159,7 @@ struct Run {
 }
 
 /// The runs of whole blocks from `offset`, which is behind block 0.
-fn runs(offset: u64, len: usize) -> io::Result<Vec<Run>> {
+fn runs(offset: u64, len: usize) -> io::Result<Vec<BlockRun>> {
     let block = BLOCK as u64;
     if offset < block || !offset.is_multiple_of(block) || !len.is_multiple_of(BLOCK) {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "the database does not use whole blocks"));
@@ -171,7 +171,7 @@ fn runs(offset: u64, len: usize) -> io::Result<Vec<Run>> {
         let bytes = done..done + count as usize * BLOCK;
         let at = sums_at(group) + (1 + first) * block;
         done = bytes.end;
-        runs.push(Run { group, first: first as usize, at, bytes });
+        runs.push(BlockRun { group, first: first as usize, at, bytes });
         next += count;
     }
     Ok(runs)

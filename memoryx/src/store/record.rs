@@ -213,7 +213,7 @@ pub(super) struct RecordHeader {
 
 /// The header of the record at the start of `bytes`, checked with its checksum.
 pub(super) fn head(bytes: &[u8]) -> Result<RecordHeader, RecordError> {
-    let mut cursor = Cursor { rest: bytes };
+    let mut cursor = ByteReader { rest: bytes };
     let (length, sum) = (cursor.u32()? as usize, cursor.u32()?);
     let (number, version) = (cursor.u64()?, cursor.u64()?);
     let content = bytes.get(8..length).ok_or(RecordError::Long)?;
@@ -225,7 +225,7 @@ pub(super) fn head(bytes: &[u8]) -> Result<RecordHeader, RecordError> {
 
 /// The length that a record states, if another record can follow at that place.
 pub(super) fn length(bytes: &[u8]) -> Option<usize> {
-    let length = Cursor { rest: bytes }.u32().ok()? as usize;
+    let length = ByteReader { rest: bytes }.u32().ok()? as usize;
     (HEAD..=bytes.len()).contains(&length).then_some(length)
 }
 
@@ -240,7 +240,7 @@ pub(super) fn decode(
     blobs: Blobs<'_>,
 ) -> Result<Snapshot, RecordError> {
     let content = bytes.get(HEAD..head.length).ok_or(RecordError::Short)?;
-    let mut cursor = Cursor { rest: content };
+    let mut cursor = ByteReader { rest: content };
     let snapshot = cursor.snapshot(id, head.version, blobs);
     let (version, id) = (head.version, id.clone());
     match snapshot {
@@ -252,7 +252,7 @@ pub(super) fn decode(
 
 /// The referenced time and the arrival time of a record, ns.
 pub(super) fn times(bytes: &[u8]) -> Result<(u64, u64), RecordError> {
-    let mut cursor = Cursor { rest: bytes.get(HEAD..).ok_or(RecordError::Short)? };
+    let mut cursor = ByteReader { rest: bytes.get(HEAD..).ok_or(RecordError::Short)? };
     let (referenced, _, arrived) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
     Ok((referenced, arrived))
 }
@@ -274,11 +274,11 @@ pub(super) fn blobs_of(bytes: &[u8], head: RecordHeader) -> Result<Vec<Hash>, Re
     Ok(found.into_inner())
 }
 
-struct Cursor<'b> {
+struct ByteReader<'b> {
     rest: &'b [u8],
 }
 
-impl<'b> Cursor<'b> {
+impl<'b> ByteReader<'b> {
     fn take(&mut self, count: usize) -> Result<&'b [u8], RecordError> {
         let (taken, rest) = self.rest.split_at_checked(count).ok_or(RecordError::Short)?;
         self.rest = rest;

@@ -29,7 +29,7 @@ const FORGET_AFTER_NS: u64 = 60_000_000_000;
 /// Everything that a working memory holds. A copy costs a few counters.
 #[derive(Clone, Default)]
 pub(super) struct Content {
-    segments: OrdMap<Arc<str>, Segment>,
+    segments: OrdMap<Arc<str>, SegmentContent>,
     /// What is read-only: core segment and provider segment.
     read_only: OrdSet<(Arc<str>, Arc<str>)>,
     /// What the whole memory takes.
@@ -47,7 +47,7 @@ pub(super) struct Content {
 }
 
 #[derive(Clone, Default)]
-struct Segment {
+struct SegmentContent {
     /// For looking up one by its address, which reads far fewer places of the memory than a search in an order does.
     entities: Entities,
     /// All of them in order of address.
@@ -89,7 +89,7 @@ pub(super) fn owner(id: &EntityId) -> &str {
     id.provider().split('.').next().unwrap_or_default()
 }
 
-impl Segment {
+impl SegmentContent {
     /// Appends a change, and drops the oldest when there are too many.
     fn note_arrival(&mut self, snapshot: &Snapshot) {
         // A snapshot from a store may have arrived long ago; taking the last arrival time keeps the order.
@@ -188,7 +188,7 @@ impl Content {
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
         let id = &snapshot.id;
         if !self.segments.contains_key(id.segment()) {
-            self.segments.insert(id.segment().into(), Segment::default());
+            self.segments.insert(id.segment().into(), SegmentContent::default());
         }
         let Some(segment) = self.segments.get_mut(id.segment()) else { return };
         let held = segment.entities.get(id).cloned().unwrap_or_default();

@@ -1,6 +1,6 @@
 //! The bell-shaped kernels over a decaying phase, and the phase itself.
 
-use crate::dmp::{Activation, Canonical, TimeScale};
+use crate::dmp::{Canonical, KernelActivation, TimeScale};
 use crate::error::MotionError;
 
 /// Lower bound of the phase, so that its logarithm stays bounded long after the end.
@@ -29,7 +29,7 @@ impl DecayKernels {
     }
 
     /// Writes the kernel values at phase `x` to `out`. The sum is never 0.
-    pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> Activation {
+    pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> KernelActivation {
         let u = (-libm::log(x) * self.per_log).clamp(0.0, (self.count - 1) as f64);
         let below = u as usize;
         let used = (below + 1).saturating_sub(REACH)..(below + 1 + REACH).min(self.count);
@@ -40,7 +40,7 @@ impl DecayKernels {
             *o = libm::exp(-away * away / 0.8);
             sum += *o;
         }
-        Activation { used, sum, gate: x }
+        KernelActivation { used, sum, gate: x }
     }
 }
 
@@ -58,7 +58,7 @@ impl Canonical for DecayKernels {
     }
 
     /// The gate is the phase: the forcing term decays with it.
-    fn activate(&self, x: f64, psi: &mut [f64]) -> Activation {
+    fn activate(&self, x: f64, psi: &mut [f64]) -> KernelActivation {
         self.evaluate(x, psi)
     }
 }

@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::CanonicalRule;
 use super::DiscretePeriodicConfig;
 use super::phase::CanonicalSystem;
-use crate::dmp::{Activation, Canonical, TimeScale};
+use crate::dmp::{Canonical, KernelActivation, TimeScale};
 use crate::error::{MotionError, finite};
 use crate::periodic::PhaseKernels;
 
@@ -114,8 +114,8 @@ impl Canonical for BlendedKernels {
     }
 
     /// The values are normalised already: far from every kernel their plain sum would be 0.
-    fn activate(&self, (phase, radius): (f64, f64), psi: &mut [f64]) -> Activation {
-        Activation { used: self.evaluate(phase, radius, psi), sum: 1.0, gate: 1.0 }
+    fn activate(&self, (phase, radius): (f64, f64), psi: &mut [f64]) -> KernelActivation {
+        KernelActivation { used: self.evaluate(phase, radius, psi), sum: 1.0, gate: 1.0 }
     }
 }
 

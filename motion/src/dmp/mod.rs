@@ -39,12 +39,12 @@ pub(crate) trait Canonical {
     fn advance(&self, phase: Self::Phase, dt: f64, scale: TimeScale) -> Result<Self::Phase, MotionError>;
 
     /// Writes the kernel values at `phase` to `psi`, one per kernel. Does not allocate.
-    fn activate(&self, phase: Self::Phase, psi: &mut [f64]) -> Activation;
+    fn activate(&self, phase: Self::Phase, psi: &mut [f64]) -> KernelActivation;
 }
 
 /// The kernel values at a phase.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Activation {
+pub(crate) struct KernelActivation {
     /// The kernels whose values were written; all others are 0.
     pub(crate) used: Range<usize>,
     /// The sum of their values.
@@ -87,7 +87,7 @@ pub(crate) struct Dmp<C: Canonical, const SUMS: usize = 1> {
     amplitude: f64,
     /// Kernel values of the last evaluation. If `fresh`, they and the sums belong to `phase`.
     psi: Vec<f64>,
-    active: Activation,
+    active: KernelActivation,
     fresh: bool,
 }
 
@@ -102,7 +102,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
             sums: std::array::from_fn(|_| KernelSum::new(dofs, kernels)),
             amplitude: 1.0,
             psi: vec![0.0; kernels],
-            active: Activation { used: 0..0, sum: 1.0, gate: 1.0 },
+            active: KernelActivation { used: 0..0, sum: 1.0, gate: 1.0 },
             fresh: false,
         }
     }

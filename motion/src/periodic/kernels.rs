@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::dmp::{Activation, Canonical, TimeScale};
+use crate::dmp::{Canonical, KernelActivation, TimeScale};
 use crate::error::MotionError;
 
 /// `n` equal kernels `exp(h (cos(phase - c_i) - 1))` with centres `c_i = 2 pi i / n`.
@@ -76,8 +76,8 @@ impl Canonical for PhaseKernels {
         Ok((phase + scale.advance(dt)).rem_euclid(TAU))
     }
 
-    fn activate(&self, phase: f64, psi: &mut [f64]) -> Activation {
-        Activation { used: 0..psi.len(), sum: self.evaluate(phase, psi), gate: 1.0 }
+    fn activate(&self, phase: f64, psi: &mut [f64]) -> KernelActivation {
+        KernelActivation { used: 0..psi.len(), sum: self.evaluate(phase, psi), gate: 1.0 }
     }
 }
 

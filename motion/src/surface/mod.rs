@@ -66,7 +66,7 @@ pub struct SurfaceAdaptation {
     smooth_error: f64,
     past: OffsetHistory,
     cycle: Cycle,
-    stiffness_by_cycle: StiffnessEstimate,
+    stiffness_by_cycle: PhaseStiffness,
     rms: Vec<f64>,
     cycles: u32,
 }
@@ -109,7 +109,7 @@ impl SurfaceAdaptation {
             smooth_error: 0.0,
             past: OffsetHistory::default(),
             cycle: Cycle::default(),
-            stiffness_by_cycle: StiffnessEstimate::default(),
+            stiffness_by_cycle: PhaseStiffness::default(),
             rms: Vec::with_capacity(MAX_CYCLES_KEPT),
             cycles: 0,
             config,
@@ -296,7 +296,7 @@ const BINS: usize = 48;
 
 /// Force and offset over the phase, of this cycle and the last one.
 #[derive(Debug, Clone)]
-struct StiffnessEstimate {
+struct PhaseStiffness {
     force: [[f64; BINS]; 2],
     force_count: [[f64; BINS]; 2],
     offset: [[f64; BINS]; 2],
@@ -305,14 +305,14 @@ struct StiffnessEstimate {
     squares: f64,
 }
 
-impl Default for StiffnessEstimate {
+impl Default for PhaseStiffness {
     fn default() -> Self {
         let zero = [[0.0; BINS]; 2];
         Self { force: zero, force_count: zero, offset: zero, offset_count: zero, products: 0.0, squares: 0.0 }
     }
 }
 
-impl StiffnessEstimate {
+impl PhaseStiffness {
     fn bin(phase: f64) -> usize {
         ((phase / TAU).rem_euclid(1.0) * BINS as f64) as usize % BINS
     }

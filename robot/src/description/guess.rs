@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use nalgebra::Vector3;
 
-use super::urdf::Tree;
+use super::urdf::LinkTree;
 use crate::model::LinkId;
 
 /// Fewest joints of an arm.
@@ -38,7 +38,7 @@ struct FoundLimbs {
 }
 
 struct Guesser<'a> {
-    tree: &'a Tree,
+    tree: &'a LinkTree,
     /// For each joint, the joints that move next beyond it.
     next: Vec<Vec<usize>>,
     /// For each joint, the number of joints of the longest chain from it, itself included, and its reach, m.
@@ -46,7 +46,7 @@ struct Guesser<'a> {
 }
 
 /// The text of a robot file.
-pub(super) fn robot_file(name: &str, urdf: &str, packages: &[String], tree: &Tree) -> String {
+pub(super) fn robot_file(name: &str, urdf: &str, packages: &[String], tree: &LinkTree) -> String {
     let guesser = Guesser::new(tree);
     let mut found = FoundLimbs::default();
     for first in (0..tree.joints.len()).filter(|&joint| guesser.before(joint).is_none()) {
@@ -84,7 +84,7 @@ fn quoted(text: &str) -> String {
 }
 
 impl<'a> Guesser<'a> {
-    fn new(tree: &'a Tree) -> Self {
+    fn new(tree: &'a LinkTree) -> Self {
         let count = tree.joints.len();
         let mut guesser = Self { tree, next: vec![Vec::new(); count], longest: vec![(1, 0.0); count] };
         for joint in 0..count {

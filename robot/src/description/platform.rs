@@ -4,7 +4,7 @@
 use nalgebra::{Isometry3, Vector3};
 
 use super::file::PlatformFile;
-use super::urdf::Tree;
+use super::urdf::LinkTree;
 use crate::model::{Joint, JointKind, JointMotion, Link, LinkId, Platform};
 
 /// The links and joints that are added, before all others: the frame in which the odometry began, and one for each direction.
@@ -14,7 +14,7 @@ pub(super) const JOINTS: [&str; 3] = ["platform_x", "platform_y", "platform_yaw"
 const EFFORT: f64 = 2000.0;
 
 /// Puts a robot on a platform. The names of [`LINKS`] and [`JOINTS`] are free.
-pub(super) fn put_on(tree: &mut Tree, platform: &PlatformFile) -> Platform {
+pub(super) fn put_on(tree: &mut LinkTree, platform: &PlatformFile) -> Platform {
     let added = LINKS.len();
     let up = |LinkId(index): LinkId| LinkId(index + added);
     for joint in &mut tree.joints {

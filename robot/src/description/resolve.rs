@@ -8,14 +8,14 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::file::{GroupFile, HandFile, LimitsFile, PlatformFile, PoseFile, Position, RobotFile};
 use super::platform::{self, JOINTS, LINKS};
-use super::urdf::Tree;
+use super::urdf::LinkTree;
 use crate::model::{
     Hand, JointKind, Limb, LinkId, Marker, Model, Platform, PlatformKind, RobotLimits, StereoCamera,
     WrenchSensor,
 };
 
 /// The model of a robot file whose text is `node`. Names that are not there add findings and are left out.
-pub(super) fn model(file: &RobotFile, node: &Node, mut tree: Tree, findings: &mut Findings) -> Model {
+pub(super) fn model(file: &RobotFile, node: &Node, mut tree: LinkTree, findings: &mut Findings) -> Model {
     let platform = platform_under(file, node, &mut tree, findings);
     let mut resolver = Resolver { file, node, tree: &tree, findings };
     let wrenches = resolver.wrenches();
@@ -41,7 +41,7 @@ pub(super) fn model(file: &RobotFile, node: &Node, mut tree: Tree, findings: &mu
     }
     let LimitsFile { force: force_n, most_force, speed: speed_m_s } = file.limits;
     let limits = RobotLimits { force_n, most_force_n: most_force.unwrap_or(force_n).max(force_n), speed_m_s };
-    let Tree { links, joints, link_ids, joint_ids, movers, .. } = tree;
+    let LinkTree { links, joints, link_ids, joint_ids, movers, .. } = tree;
     Model {
         name: file.name.clone(),
         links,
@@ -67,7 +67,7 @@ pub(super) fn model(file: &RobotFile, node: &Node, mut tree: Tree, findings: &mu
 fn platform_under(
     file: &RobotFile,
     node: &Node,
-    tree: &mut Tree,
+    tree: &mut LinkTree,
     findings: &mut Findings,
 ) -> Option<Platform> {
     let said = file.platform.clone().or_else(|| tree.floats.then(PlatformFile::default))?;
@@ -103,14 +103,14 @@ fn bare_limb(name: &str, joints: Vec<usize>) -> Limb {
 }
 
 /// All joints at 0, or at the limit nearest to it.
-fn zero(tree: &Tree) -> Vec<f64> {
+fn zero(tree: &LinkTree) -> Vec<f64> {
     tree.joints.iter().map(|j| 0.0_f64.max(j.lower).min(j.upper)).collect()
 }
 
 struct Resolver<'a> {
     file: &'a RobotFile,
     node: &'a Node,
-    tree: &'a Tree,
+    tree: &'a LinkTree,
     findings: &'a mut Findings,
 }
 

@@ -8,7 +8,7 @@ use armarium_source::{Finding, Findings, Severity, Source, Span, code};
 use roxmltree::{Document, Node};
 
 use super::file::{GroupFile, HandFile, Position, RobotFile};
-use super::urdf::{Tree, span};
+use super::urdf::{LinkTree, span};
 use crate::model::LinkId;
 
 /// Pairs of links, the first one before the second one.
@@ -16,7 +16,7 @@ pub(super) type Pairs = BTreeSet<[LinkId; 2]>;
 
 /// Adds what an SRDF says to a robot file. Returns the pairs of links that need not keep their distance, and what is wrong
 /// with the SRDF.
-pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> (Pairs, Vec<Finding>) {
+pub(super) fn merge(source: &Arc<Source>, tree: &LinkTree, file: &mut RobotFile) -> (Pairs, Vec<Finding>) {
     let mut findings = Findings::new(Arc::clone(source));
     let mut pairs = Pairs::new();
     match Document::parse(&source.text) {
@@ -37,7 +37,7 @@ pub(super) fn merge(source: &Arc<Source>, tree: &Tree, file: &mut RobotFile) -> 
 
 struct SrdfReader<'a, 'f> {
     root: Node<'a, 'a>,
-    tree: &'a Tree,
+    tree: &'a LinkTree,
     findings: &'f mut Findings,
 }
 

@@ -32,7 +32,7 @@ const GREY: [u8; 3] = [150; 3];
 
 /// The links and joints of a robot.
 #[derive(Debug, Default)]
-pub(super) struct Tree {
+pub(super) struct LinkTree {
     pub(super) links: Vec<Link>,
     pub(super) joints: Vec<Joint>,
     pub(super) link_ids: BTreeMap<String, LinkId>,
@@ -44,7 +44,7 @@ pub(super) struct Tree {
 }
 
 /// Reads a description. Adds findings; `None` where the text is no robot at all.
-pub(super) fn read(source: &Arc<Source>, meshes: &mut Meshes<'_>) -> (Option<Tree>, Vec<Finding>) {
+pub(super) fn read(source: &Arc<Source>, meshes: &mut Meshes<'_>) -> (Option<LinkTree>, Vec<Finding>) {
     let mut findings = Findings::new(Arc::clone(source));
     let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
     let document = match Document::parse_with_options(&source.text, options) {
@@ -101,7 +101,7 @@ struct UrdfReader<'a, 'f, 'm> {
     /// The joints below each link, in the order of the text.
     below: BTreeMap<&'a str, Vec<Element<'a>>>,
     materials: BTreeMap<&'a str, [u8; 3]>,
-    tree: Tree,
+    tree: LinkTree,
     /// What was assumed, with those of which it was assumed, in the order in which they were found.
     assumed: Vec<(String, Span, Vec<String>)>,
 }
@@ -138,7 +138,7 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
             joints: BTreeMap::new(),
             below: BTreeMap::new(),
             materials: BTreeMap::new(),
-            tree: Tree::default(),
+            tree: LinkTree::default(),
             assumed: Vec::new(),
         };
         reader.index_links()?;
@@ -215,7 +215,7 @@ impl<'a, 'f, 'm> UrdfReader<'a, 'f, 'm> {
         }
     }
 
-    fn read(mut self) -> Option<Tree> {
+    fn read(mut self) -> Option<LinkTree> {
         let mut waiting: Vec<(Option<LinkId>, Option<Element<'a>>, Element<'a>)> =
             vec![(None, None, self.root)];
         let mut followers = Vec::new();

@@ -16,9 +16,9 @@ const BRANCH: f64 = 0.5;
 const TWIG: f64 = 0.01;
 
 /// A tree of configurations; each with the index of the one that it grew from.
-struct Tree(Vec<(Vec<f64>, usize)>);
+struct RrtTree(Vec<(Vec<f64>, usize)>);
 
-impl Tree {
+impl RrtTree {
     fn nearest(&self, planner: &Planner, q: &[f64]) -> usize {
         let far = |(node, _): &(Vec<f64>, usize)| planner.length(node, q);
         let lengths = self.0.iter().map(far).enumerate();
@@ -61,7 +61,7 @@ pub(super) fn search(
 ) -> Option<Vec<Vec<f64>>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ranges: Vec<(usize, (f64, f64))> = joints.iter().map(|&j| (j, planner.range(j, from[j]))).collect();
-    let mut trees = [Tree(vec![(from.to_vec(), 0)]), Tree(vec![(to.to_vec(), 0)])];
+    let mut trees = [RrtTree(vec![(from.to_vec(), 0)]), RrtTree(vec![(to.to_vec(), 0)])];
     let most = planner.checks + SEARCHED;
     let mut swapped = false;
     while planner.checks < most {

@@ -11,7 +11,7 @@ use super::compile::Compiler;
 use super::model::{self, ActionKind};
 use super::scope::ExprSite;
 use super::symbols::Symbol;
-use crate::program::{Action, Pattern, Send, StateId, Term, Transition};
+use crate::program::{Action, Pattern, SendAction, StateId, Term, Transition};
 
 impl<'t> Compiler<'t> {
     pub(super) fn transition(
@@ -95,7 +95,7 @@ impl<'t> Compiler<'t> {
                     };
                     let delay = delay.as_ref().and_then(|node| self.delay(site, node));
                     let id = id.as_ref().map(|id| id.text.clone());
-                    let send = Send { event: symbol, to: address, data, delay, id, place };
+                    let send = SendAction { event: symbol, to: address, data, delay, id, place };
                     compiled.push(Action::Send(Box::new(send)));
                 }
                 ActionKind::Cancel(id) => compiled.push(Action::Cancel { id: id.text.clone() }),

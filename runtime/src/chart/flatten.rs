@@ -13,7 +13,7 @@ use super::library::Library;
 use super::model::{self, Chart};
 use super::read::MAX_LEVELS;
 use super::symbols::Symbol;
-use crate::program::{Instance, StateId, Variable};
+use crate::program::{ChartVariable, Instance, StateId};
 use crate::skill::{Limits, Parameter, SkillManifest};
 
 /// Most states, those of the charts inside counted at each use.
@@ -237,8 +237,9 @@ impl<'l> Flattening<'l, '_> {
         self.tree.slots - 1
     }
 
-    fn variables(&mut self, declarations: &[Parameter]) -> Vec<Variable> {
-        let one = |declaration: &Parameter| Variable { declaration: declaration.clone(), slot: self.slot() };
+    fn variables(&mut self, declarations: &[Parameter]) -> Vec<ChartVariable> {
+        let one =
+            |declaration: &Parameter| ChartVariable { declaration: declaration.clone(), slot: self.slot() };
         declarations.iter().map(one).collect()
     }
 

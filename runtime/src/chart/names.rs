@@ -14,7 +14,7 @@ use armarium_values::Value;
 use super::catalog::Registry;
 use super::flatten::{Inside, Tree};
 use super::model::Chart;
-use crate::program::{Action, Binding, Instance, Kind, Program, StateId, Term, Variable};
+use crate::program::{Action, Binding, ChartVariable, Instance, Kind, Program, StateId, Term};
 use crate::skill::{NameKind, Parameter};
 
 /// What is known of an input whose values are names.
@@ -160,7 +160,7 @@ impl Check<'_> {
         assigned: &BTreeSet<u32>,
     ) {
         // A local that something assigns need not begin with a name.
-        let kept = |local: &&Variable| !assigned.contains(&local.slot);
+        let kept = |local: &&ChartVariable| !assigned.contains(&local.slot);
         for input in instance.inputs.iter().chain(instance.locals.iter().filter(kept)) {
             let Some(Value::String(name)) = &input.declaration.default else { continue };
             let place = chart.defaults.iter().find(|(declared, _)| *declared == input.declaration.name);

@@ -351,8 +351,9 @@ impl<'c> Scope<'_, 'c> {
         let instance = self.names.tree.instance(self.site.state);
         let sections =
             [("inputs", &instance.inputs), ("locals", &instance.locals), ("outputs", &instance.outputs)];
-        let has =
-            |variables: &[crate::program::Variable]| variables.iter().any(|v| v.declaration.name == name);
+        let has = |variables: &[crate::program::ChartVariable]| {
+            variables.iter().any(|v| v.declaration.name == name)
+        };
         let declared = sections.into_iter().find(|(_, variables)| has(variables)).map(|(section, _)| section);
         let chart = self.names.tree.chart_of(self.site.state);
         declared.or_else(|| self.names.known.ty(chart, name).map(|_| "channels"))

@@ -8,7 +8,7 @@ use armarium_values::expr::{MAX_PARTS, MAX_TEXT};
 use super::event::{Event, Origin};
 use super::state::{RunContext, TimerUse, Turn};
 use super::{Effect, Engine, TraceItem};
-use crate::program::{Action, ERROR_EXECUTION, Program, Send, SourcePlace, StateId, Term};
+use crate::program::{Action, ERROR_EXECUTION, Program, SendAction, SourcePlace, StateId, Term};
 
 /// Why a value could not be had while a chart runs.
 #[derive(Debug)]
@@ -203,7 +203,7 @@ impl Engine {
         term.map_or(Ok(Value::Null), |term| self.evaluate(term, turn))
     }
 
-    fn send(&mut self, send: &Send, turn: &mut Turn<'_>) -> Result<(), Failed> {
+    fn send(&mut self, send: &SendAction, turn: &mut Turn<'_>) -> Result<(), Failed> {
         let data = self.optional(send.data.as_ref(), turn)?;
         let to = match &send.to {
             None => None,

@@ -29,7 +29,7 @@ pub use interface::{Effect, Input, NoSensors, RunResult, Sensors, WatchSample};
 pub use record::{InputRecord, RecordingSensors, Replaying, SensorReading};
 
 use crate::program::{
-    Code, ERROR_CHANNEL, EventId, EventNumber, FAILURE, Instance, Program, StateId, Variable,
+    ChartVariable, Code, ERROR_CHANNEL, EventId, EventNumber, FAILURE, Instance, Program, StateId,
 };
 use crate::skill::InputError;
 use crate::trace::TraceItem;
@@ -284,7 +284,7 @@ impl Engine {
     fn variables_of(
         &self,
         instance: usize,
-        which: fn(&Instance) -> &Vec<Variable>,
+        which: fn(&Instance) -> &Vec<ChartVariable>,
     ) -> BTreeMap<String, Value> {
         let variables = which(&self.program.instances[instance]).iter();
         variables

@@ -25,7 +25,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use crate::activation::{Activation, Report, Start};
+use crate::activation::{Activation, Report, SkillStart};
 use crate::agenda::Agenda;
 use crate::channels::Channels;
 use crate::chart::Registry;
@@ -35,7 +35,7 @@ use crate::skill::{Failure, InputError, Limits, Skill, SkillContext, SkillManife
 use crate::trace::{TraceEvent, TraceItem};
 use following::Following;
 use remote_events::Outbox;
-use skills::{Message, Running};
+use skills::{ActiveSkill, ExecutorMessage};
 use watchdog::Watchdog;
 
 pub use crate::engine::RunResult;
@@ -84,7 +84,7 @@ impl fmt::Debug for ExecOptions {
 /// Controls a run from outside.
 #[derive(Clone, Debug)]
 pub struct Controller {
-    queue: mpsc::Sender<Message>,
+    queue: mpsc::Sender<ExecutorMessage>,
     stop: CancellationToken,
     reason: Arc<Mutex<Option<String>>>,
 }
@@ -101,32 +101,32 @@ impl Controller {
     /// Raises an event that all active states see. Returns false if the queue is full or the run has ended.
     #[must_use = "an event that the queue had no room for was not raised"]
     pub fn raise(&self, name: impl Into<String>, data: Value) -> bool {
-        self.queue.try_send(Message::Event { name: name.into(), data, answer: None }).is_ok()
+        self.queue.try_send(ExecutorMessage::Event { name: name.into(), data, answer: None }).is_ok()
     }
 
     /// Ends the skill of a state with an outcome of one's choice: the skill is cancelled, and what it gives then is ignored but for its
     /// outputs. Where that cannot be, the trace says so. Returns false if the queue is full or the run has ended.
     #[must_use = "a choice that the queue had no room for was not made"]
     pub fn choose(&self, state: impl Into<String>, outcome: impl Into<String>) -> bool {
-        self.queue.try_send(Message::Chosen { state: state.into(), outcome: outcome.into() }).is_ok()
+        self.queue.try_send(ExecutorMessage::Chosen { state: state.into(), outcome: outcome.into() }).is_ok()
     }
 
     /// Says in the trace what somebody did to the run from outside. Returns false if the queue is full or the run has ended.
     #[must_use = "what the queue had no room for is not in the trace"]
     pub fn acted(&self, what: impl Into<String>) -> bool {
-        self.queue.try_send(Message::Acted { what: what.into() }).is_ok()
+        self.queue.try_send(ExecutorMessage::Acted { what: what.into() }).is_ok()
     }
 
     /// As [`Controller::raise`]; gives who will say why the event changed nothing, if it did not.
     fn offer(&self, name: &str, data: Value) -> Option<oneshot::Receiver<Option<String>>> {
         let (answer, answered) = oneshot::channel();
-        let message = Message::Event { name: name.to_owned(), data, answer: Some(answer) };
+        let message = ExecutorMessage::Event { name: name.to_owned(), data, answer: Some(answer) };
         self.queue.try_send(message).is_ok().then_some(answered)
     }
 
     /// Says in the trace that an event was refused to its sender. Where too much waits already, it is not said.
     fn refused(&self, name: &str, reason: String) {
-        let refused = Message::Dropped { name: name.to_owned(), reason, error: None };
+        let refused = ExecutorMessage::Dropped { name: name.to_owned(), reason, error: None };
         let _ = self.queue.try_send(refused).is_ok();
     }
 }
@@ -141,11 +141,11 @@ pub struct Executor {
     watchdog: Watchdog,
     outbox: Outbox,
     subscribers: Subscribers,
-    sender: mpsc::Sender<Message>,
-    queue: mpsc::Receiver<Message>,
+    sender: mpsc::Sender<ExecutorMessage>,
+    queue: mpsc::Receiver<ExecutorMessage>,
     stop: CancellationToken,
     reason: Arc<Mutex<Option<String>>>,
-    running: BTreeMap<u64, Running>,
+    running: BTreeMap<u64, ActiveSkill>,
     agenda: Agenda,
     following: Following,
     began: Instant,
@@ -269,7 +269,7 @@ impl Executor {
                 () = stop.cancelled(), if !stopping => {
                     stopping = true;
                     let reason = self.reason.lock().clone();
-                    Message::Stopped { reason: reason.unwrap_or_default() }
+                    ExecutorMessage::Stopped { reason: reason.unwrap_or_default() }
                 }
                 Some(message) = self.queue.recv() => message,
                 () = until(deadline), if deadline.is_some() => continue,
@@ -328,31 +328,33 @@ impl Executor {
         format!("stuck: no skill runs, no timer or watch is armed, and nobody can send events; {waits}")
     }
 
-    fn message(&mut self, message: Message) {
+    fn message(&mut self, message: ExecutorMessage) {
         match message {
-            Message::Event { name, data, answer } => {
+            ExecutorMessage::Event { name, data, answer } => {
                 let dropped = self.turn(Some(Input::Event { name, data }));
                 // Nobody may wait any more.
                 let _ = answer.is_none_or(|answer| answer.send(dropped).is_ok());
             }
-            Message::Dropped { name, reason, error } => {
+            ExecutorMessage::Dropped { name, reason, error } => {
                 self.trace(TraceItem::Dropped { name, reason });
                 let name = "error.communication".to_owned();
                 if let Some(data) = error {
                     self.turn(Some(Input::Event { name, data }));
                 }
             }
-            Message::Chosen { state, outcome } => drop(self.turn(Some(Input::Choose { state, outcome }))),
-            Message::Acted { what } => self.trace(TraceItem::Acted { action: what }),
-            Message::Skill { activation, report } => self.report(activation, report),
-            Message::Hangs { reason } => drop(self.turn(Some(Input::Abort { reason }))),
-            Message::Stopped { reason } => drop(self.turn(Some(Input::Stop { reason }))),
+            ExecutorMessage::Chosen { state, outcome } => {
+                drop(self.turn(Some(Input::Choose { state, outcome })))
+            }
+            ExecutorMessage::Acted { what } => self.trace(TraceItem::Acted { action: what }),
+            ExecutorMessage::Skill { activation, report } => self.report(activation, report),
+            ExecutorMessage::Hangs { reason } => drop(self.turn(Some(Input::Abort { reason }))),
+            ExecutorMessage::Stopped { reason } => drop(self.turn(Some(Input::Stop { reason }))),
         }
     }
 
     /// Handles a skill's report. Reports of a skill that counts as stuck are ignored.
     fn report(&mut self, activation: u64, report: Report) {
-        let Some(state) = self.running.get(&activation).map(Running::state) else { return };
+        let Some(state) = self.running.get(&activation).map(ActiveSkill::state) else { return };
         let path = || self.engine.program().path(state).to_owned();
         match report {
             Report::Event { name, data } => drop(self.turn(Some(Input::Event { name, data }))),
@@ -424,14 +426,14 @@ impl Executor {
                 let implementation =
                     self.registry.get(&skill).cloned().unwrap_or_else(|| Arc::new(Missing(skill)));
                 let cancel = CancellationToken::new();
-                let start = Start {
+                let start = SkillStart {
                     state: path.to_owned(),
                     inputs,
                     limits: self.limits.tightened(limits),
                     channels: self.channels.clone(),
                     cancel: cancel.clone(),
                 };
-                let running = Running::start(
+                let running = ActiveSkill::start(
                     (activation, state),
                     Activation::new(implementation, declared, start),
                     cancel,

@@ -14,7 +14,7 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
 use super::Controller;
-use super::skills::Message;
+use super::skills::ExecutorMessage;
 use crate::program::{EventRefused, Program};
 
 /// Largest number of agents that one run sends to.
@@ -202,13 +202,13 @@ impl Subscribers {
 pub(super) struct Outbox {
     transport: Option<Arc<dyn Transport>>,
     /// The run's own queue: an event that cannot be delivered comes back as `error.communication`.
-    queue: mpsc::Sender<Message>,
+    queue: mpsc::Sender<ExecutorMessage>,
     /// A queue and its task per agent, so that a slow agent does not delay the others.
     routes: BTreeMap<String, (mpsc::Sender<RemoteEvent>, JoinHandle<()>)>,
 }
 
 impl Outbox {
-    pub(super) fn new(transport: Option<Arc<dyn Transport>>, queue: mpsc::Sender<Message>) -> Self {
+    pub(super) fn new(transport: Option<Arc<dyn Transport>>, queue: mpsc::Sender<ExecutorMessage>) -> Self {
         Self { transport, queue, routes: BTreeMap::new() }
     }
 
@@ -259,7 +259,7 @@ impl Drop for Outbox {
 async fn deliver_all(
     transport: Arc<dyn Transport>,
     mut events: mpsc::Receiver<RemoteEvent>,
-    queue: mpsc::Sender<Message>,
+    queue: mpsc::Sender<ExecutorMessage>,
 ) {
     while let Some(sent) = events.recv().await {
         // What arrives and is not taken is no failure of the sender: nobody waits for it there now.
@@ -272,11 +272,11 @@ async fn deliver_all(
     }
 }
 
-fn undelivered(sent: &RemoteEvent, why: &str) -> Message {
+fn undelivered(sent: &RemoteEvent, why: &str) -> ExecutorMessage {
     let RemoteEvent { to, event, .. } = sent;
     let reason = format!("`{event}` cannot be sent to `{to}`: {why}");
     tracing::warn!("{reason}");
     let data =
         [("reason", reason.as_str().into()), ("event", event.as_str().into()), ("to", to.as_str().into())];
-    Message::Dropped { name: event.clone(), error: Some(Value::record(data)), reason }
+    ExecutorMessage::Dropped { name: event.clone(), error: Some(Value::record(data)), reason }
 }

@@ -11,7 +11,7 @@ use crate::program::StateId;
 
 /// A message in the executor's queue.
 #[derive(Debug)]
-pub(super) enum Message {
+pub(super) enum ExecutorMessage {
     /// An event from outside. Who waits for it is told why it changed nothing, if it did not.
     Event { name: String, data: Value, answer: Option<oneshot::Sender<Option<String>>> },
     /// An event that could not be delivered to another agent: the data of its `error.communication`; or that came from outside and
@@ -31,26 +31,26 @@ pub(super) enum Message {
 
 /// A running skill. Dropping it cancels the skill and aborts its task.
 #[derive(Debug)]
-pub(super) struct Running {
+pub(super) struct ActiveSkill {
     state: StateId,
     cancel: CancellationToken,
     task: AbortHandle,
 }
 
-impl Drop for Running {
+impl Drop for ActiveSkill {
     fn drop(&mut self) {
         self.cancel.cancel();
         self.task.abort();
     }
 }
 
-impl Running {
+impl ActiveSkill {
     /// Starts a skill in a task of its own. `cancel` is the token in its context.
     pub(super) fn start(
         (number, state): (u64, StateId),
         activation: Activation,
         cancel: CancellationToken,
-        queue: mpsc::Sender<Message>,
+        queue: mpsc::Sender<ExecutorMessage>,
         polls: Polls,
     ) -> Self {
         let task = tokio::spawn(polls.of(Box::pin(drive(activation, number, queue))));
@@ -66,11 +66,11 @@ impl Running {
     }
 }
 
-async fn drive(mut activation: Activation, number: u64, queue: mpsc::Sender<Message>) {
+async fn drive(mut activation: Activation, number: u64, queue: mpsc::Sender<ExecutorMessage>) {
     loop {
         let report = activation.next().await;
         let ended = matches!(report, Report::Ended(_));
-        if queue.send(Message::Skill { activation: number, report }).await.is_err() {
+        if queue.send(ExecutorMessage::Skill { activation: number, report }).await.is_err() {
             tracing::debug!("a skill told something after its run");
         }
         if ended {

@@ -15,7 +15,7 @@ use parking_lot::{Condvar, Mutex};
 use tokio::sync::mpsc;
 
 use super::OnStuck;
-use super::skills::Message;
+use super::skills::ExecutorMessage;
 
 /// How long a skill may run without yielding before it counts as hanging, by default.
 const HANG_TIMEOUT: Duration = Duration::from_secs(10);
@@ -33,7 +33,7 @@ struct WatchdogState {
 
 pub(super) struct Watchdog {
     shared: Arc<WatchdogState>,
-    queue: mpsc::Sender<Message>,
+    queue: mpsc::Sender<ExecutorMessage>,
     limit: Duration,
     on_hang: Option<OnStuck>,
 }
@@ -74,7 +74,7 @@ impl Watchdog {
         clippy::disallowed_methods,
         reason = "it watches skills by the wall's clock, which goes on when a skill blocks the thread"
     )]
-    pub(super) fn new(on_stuck: Option<OnStuck>, queue: mpsc::Sender<Message>) -> Self {
+    pub(super) fn new(on_stuck: Option<OnStuck>, queue: mpsc::Sender<ExecutorMessage>) -> Self {
         let shared = WatchdogState {
             began: Instant::now(),
             skills: Mutex::default(),
@@ -120,7 +120,12 @@ impl Drop for Watchdog {
     }
 }
 
-fn watch(shared: &WatchdogState, queue: &mpsc::Sender<Message>, limit: Duration, on_hang: Option<OnStuck>) {
+fn watch(
+    shared: &WatchdogState,
+    queue: &mpsc::Sender<ExecutorMessage>,
+    limit: Duration,
+    on_hang: Option<OnStuck>,
+) {
     let mut over = shared.over.lock();
     while !*over {
         shared.wake.wait_for(&mut over, limit / 4);
@@ -135,7 +140,7 @@ fn watch(shared: &WatchdogState, queue: &mpsc::Sender<Message>, limit: Duration,
             on_stuck(&state);
         }
         // If the executor runs on another thread than the skill, it can still end the run in order.
-        if queue.try_send(Message::Hangs { reason }).is_err() {
+        if queue.try_send(ExecutorMessage::Hangs { reason }).is_err() {
             tracing::error!(state, "the run could not be told");
         }
         if let Some(mut on_hang) = on_hang {

@@ -27,7 +27,7 @@ pub(super) enum Expr {
 }
 
 /// The names that an expression may use.
-pub(super) struct Scope<'s> {
+pub(super) struct ScxmlScope<'s> {
     /// The chart's name: SCXML's `_name`, and the id of its only session.
     pub(super) chart: &'s str,
     /// The path of a state by its id.
@@ -113,7 +113,7 @@ pub(super) enum Untranslatable {
 use Untranslatable::Form;
 
 /// Parses an expression that needs no data model.
-pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, ExpressionError> {
+pub(super) fn parse(text: &str, scope: &ScxmlScope<'_>) -> Result<Expr, ExpressionError> {
     if text.len() > MAX_LEN {
         return Err(ExpressionError::TooLong);
     }
@@ -130,14 +130,14 @@ pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, ExpressionErr
 }
 
 #[derive(Clone, Debug, PartialEq)]
-enum Token {
+enum ScxmlToken {
     Name(String),
     Number(f64),
     Text(String),
     Op(&'static str),
 }
 
-impl Token {
+impl ScxmlToken {
     fn show(&self) -> String {
         match self {
             Self::Name(n) => n.clone(),
@@ -151,29 +151,29 @@ impl Token {
 const OPERATORS: [&str; 17] =
     ["===", "!==", "==", "!=", "<=", ">=", "&&", "||", "<", ">", "!", "(", ")", "+", "-", ".", ","];
 
-fn tokens(text: &str) -> Result<Vec<Token>, Untranslatable> {
+fn tokens(text: &str) -> Result<Vec<ScxmlToken>, Untranslatable> {
     let mut result = Vec::new();
     let mut rest = text.trim_start();
     while let Some(first) = rest.chars().next() {
         let next_digit = rest.chars().nth(1).is_some_and(|c| c.is_ascii_digit());
         let used = if first == '\'' || first == '"' {
             let (token, used) = quoted(rest, first)?;
-            result.push(Token::Text(token));
+            result.push(ScxmlToken::Text(token));
             used
         } else if first.is_ascii_digit() || (first == '.' && next_digit) {
             let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '.')).unwrap_or(rest.len());
             let number = rest[..end].parse().map_err(|_| Untranslatable::Number(rest[..end].to_owned()))?;
-            result.push(Token::Number(number));
+            result.push(ScxmlToken::Number(number));
             end
         } else if first.is_alphabetic() || first == '_' || first == '$' {
             let name = |c: char| c.is_alphanumeric() || c == '_' || c == '$';
             let end = rest.find(|c| !name(c)).unwrap_or(rest.len());
-            result.push(Token::Name(rest[..end].to_owned()));
+            result.push(ScxmlToken::Name(rest[..end].to_owned()));
             end
         } else {
             let op = OPERATORS.into_iter().find(|op| rest.starts_with(op));
             let op = op.ok_or(Untranslatable::Character(first))?;
-            result.push(Token::Op(op));
+            result.push(ScxmlToken::Op(op));
             op.len()
         };
         rest = rest[used..].trim_start();
@@ -202,15 +202,15 @@ fn quoted(text: &str, quote: char) -> Result<(String, usize), Untranslatable> {
 }
 
 struct Parser<'t> {
-    tokens: &'t [Token],
+    tokens: &'t [ScxmlToken],
     at: usize,
-    scope: &'t Scope<'t>,
+    scope: &'t ScxmlScope<'t>,
 }
 
 impl Parser<'_> {
     fn take(&mut self, ops: &[&'static str]) -> Option<&'static str> {
         match self.tokens.get(self.at) {
-            Some(Token::Op(op)) if ops.contains(op) => {
+            Some(ScxmlToken::Op(op)) if ops.contains(op) => {
                 self.at += 1;
                 Some(op)
             }
@@ -289,10 +289,10 @@ impl Parser<'_> {
         let token = self.tokens.get(self.at).ok_or(Form("it ends too early"))?;
         self.at += 1;
         match token {
-            Token::Number(n) => Ok(Expr::Number(*n)),
-            Token::Text(s) => Ok(Expr::Text(s.clone())),
-            Token::Op(op) => Err(Untranslatable::Unexpected((*op).to_owned())),
-            Token::Name(name) => match name.as_str() {
+            ScxmlToken::Number(n) => Ok(Expr::Number(*n)),
+            ScxmlToken::Text(s) => Ok(Expr::Text(s.clone())),
+            ScxmlToken::Op(op) => Err(Untranslatable::Unexpected((*op).to_owned())),
+            ScxmlToken::Name(name) => match name.as_str() {
                 "true" => Ok(Expr::Bool(true)),
                 "false" => Ok(Expr::Bool(false)),
                 "null" | "undefined" => Ok(Expr::Null),
@@ -306,7 +306,7 @@ impl Parser<'_> {
 
     fn in_state(&mut self) -> Result<Expr, Untranslatable> {
         self.take(&["("]).ok_or(Form("`In` is written `In('state')`"))?;
-        let Some(Token::Text(id)) = self.tokens.get(self.at).cloned() else {
+        let Some(ScxmlToken::Text(id)) = self.tokens.get(self.at).cloned() else {
             return Err(Form("`In` takes the id of a state as text"));
         };
         self.at += 1;
@@ -318,7 +318,7 @@ impl Parser<'_> {
     fn event(&mut self) -> Result<Expr, Untranslatable> {
         let mut path: Vec<String> = Vec::new();
         while self.take(&["."]).is_some() {
-            let Some(Token::Name(part)) = self.tokens.get(self.at) else {
+            let Some(ScxmlToken::Name(part)) = self.tokens.get(self.at) else {
                 return Err(Form("a name is needed after `.`"));
             };
             path.push(part.clone());

@@ -94,16 +94,16 @@ pub(crate) enum ChannelSource {
 pub(crate) struct Instance {
     /// The state that contains the chart.
     pub(crate) owner: StateId,
-    pub(crate) inputs: Vec<Variable>,
-    pub(crate) locals: Vec<Variable>,
-    pub(crate) outputs: Vec<Variable>,
+    pub(crate) inputs: Vec<ChartVariable>,
+    pub(crate) locals: Vec<ChartVariable>,
+    pub(crate) outputs: Vec<ChartVariable>,
     /// The slots of this use and of those inside it: variables, and outputs of states.
     pub(crate) first_slot: u32,
     pub(crate) end_slot: u32,
 }
 
 #[derive(Clone, Debug)]
-pub(crate) struct Variable {
+pub(crate) struct ChartVariable {
     pub(crate) declaration: Parameter,
     pub(crate) slot: u32,
 }
@@ -240,7 +240,7 @@ pub(crate) struct Binding {
 pub(crate) enum Action {
     Assign { slot: u32, declaration: Arc<Parameter>, variable: String, term: Term, place: SourcePlace },
     Raise { event: EventNumber, data: Option<Term>, place: SourcePlace },
-    Send(Box<Send>),
+    Send(Box<SendAction>),
     Cancel { id: String },
     Log { term: Term },
     If { condition: Code, then: Vec<Action>, otherwise: Vec<Action> },
@@ -249,7 +249,7 @@ pub(crate) enum Action {
 
 /// The action `send`.
 #[derive(Debug)]
-pub(crate) struct Send {
+pub(crate) struct SendAction {
     pub(crate) event: EventNumber,
     pub(crate) to: Option<Term>,
     pub(crate) data: Option<Term>,

@@ -93,11 +93,11 @@ impl Agents {
     }
 
     /// The manifests of an agent: all, or those under one name, or why one of them cannot be read.
-    async fn offered(&self, agent: &str, name: Option<&str>) -> Vec<Result<Manifest, CallError>> {
+    async fn offered(&self, agent: &str, name: Option<&str>) -> Vec<Result<Manifest, QueryError>> {
         let Ok(pattern) = keys::chart_pattern(Some(agent), name) else { return Vec::new() };
         match self.session.query(pattern, "", None, MAX_MANIFESTS, LEASE).await {
             Ok(answers) => {
-                answers.iter().filter_map(|a| Some(answered(a)?.map_err(CallError::from))).collect()
+                answers.iter().filter_map(|a| Some(answered(a)?.map_err(QueryError::from))).collect()
             }
             Err(error) => vec![Err(error.into())],
         }
@@ -110,15 +110,15 @@ impl Agents {
         name: &str,
         message: &P,
         within: Duration,
-    ) -> Option<Result<Status, CallError>> {
+    ) -> Option<Result<Status, QueryError>> {
         let message =
-            keys::chart(agent, name).map_err(CallError::from).and_then(|key| Ok((key, packed(message)?)));
+            keys::chart(agent, name).map_err(QueryError::from).and_then(|key| Ok((key, packed(message)?)));
         let (key, message) = match message {
             Ok(message) => message,
             Err(error) => return Some(Err(error)),
         };
         let answers = self.ask_within(key, &message, within).await.ok()?;
-        answers.iter().find_map(answered).map(|status| status.map_err(CallError::from))
+        answers.iter().find_map(answered).map(|status| status.map_err(QueryError::from))
     }
 
     /// Sends a message as a query; without answers in time there are none.
@@ -136,7 +136,7 @@ impl Agents {
 
 /// Why a query has no status or manifest.
 #[derive(Debug, thiserror::Error)]
-enum CallError {
+enum QueryError {
     #[error(transparent)]
     Key(#[from] KeyError),
     #[error(transparent)]
@@ -158,7 +158,7 @@ fn refused(reason: String, help: impl Into<String>) -> Refused {
 }
 
 /// The only manifest of that name.
-fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, CallError>]) -> Result<Manifest, Missing> {
+fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, QueryError>]) -> Result<Manifest, Missing> {
     if offered.is_empty() {
         let help = format!(
             "start it with `armarium agent --name {agent} CHARTS`, and give what it listens on: \

@@ -132,7 +132,7 @@ impl Offers {
     }
 }
 
-struct Server {
+struct CallServer {
     offers: Offers,
     calls: Mutex<BTreeMap<String, Arc<Call>>>,
 }
@@ -145,7 +145,7 @@ struct Server {
 pub async fn serve(session: &Session, offers: Offers) -> Result<(), ServeError> {
     let mut questions =
         session.declare_queryable(keys::chart_pattern(Some(&offers.agent), None)?, MAX_QUERIES).await?;
-    let server = Arc::new(Server { offers, calls: Mutex::default() });
+    let server = Arc::new(CallServer { offers, calls: Mutex::default() });
     let places = Arc::new(Semaphore::new(MAX_QUERIES));
     while let Some(question) = questions.next().await {
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
@@ -158,7 +158,7 @@ pub async fn serve(session: &Session, offers: Offers) -> Result<(), ServeError> 
     Ok(())
 }
 
-impl Server {
+impl CallServer {
     async fn answer(self: Arc<Self>, question: &IncomingQuery) {
         if question.encoding.is_empty() || question.payload.is_empty() {
             return self.declare(question).await;
@@ -242,7 +242,7 @@ impl Server {
         let call = Arc::new(Call::new(cancel.clone()));
         let limits = start.limits();
         let channels = self.offers.channels.clone();
-        let beginning = activation::Start { state: shown.clone(), inputs, limits, channels, cancel };
+        let beginning = activation::SkillStart { state: shown.clone(), inputs, limits, channels, cancel };
         let activation = Activation::new(Arc::clone(&offer.skill), manifest.events, beginning);
         let running = Arc::clone(&call).run(shown, activation, manifest.grace, Arc::clone(&self.offers.stop));
         calls.insert(start.call.clone(), Arc::clone(&call));

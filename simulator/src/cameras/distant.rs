@@ -11,7 +11,7 @@ use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::{Drawing, Eyes, Moment, RobotState, SceneState};
+use super::{Drawing, Eyes, Moment, RobotJoints, SceneState};
 use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
 use crate::render::ShadowedScene;
@@ -225,8 +225,8 @@ impl DistantCameras {
         });
         let coach = CoachState { tool: scenery.tool, hand, ..CoachState::default() };
         self.eyes.rig.next_frame = scenery.frame;
-        let own = RobotState { truth: &scenery.true_position, sensed: &scenery.sensed_position };
-        let others = scenery.others.iter().map(|truth| RobotState { truth, sensed: truth });
+        let own = RobotJoints { truth: &scenery.true_position, sensed: &scenery.sensed_position };
+        let others = scenery.others.iter().map(|truth| RobotJoints { truth, sensed: truth });
         let robots: Vec<_> = [own].into_iter().chain(others).collect();
         let view = SceneState {
             exposed_ns: scenery.exposed_ns,

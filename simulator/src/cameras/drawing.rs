@@ -26,7 +26,7 @@ const DIRTY_RADIUS: f64 = 0.22;
 
 /// The joints of a robot at one frame, rad (m), in its model's order.
 #[derive(Clone, Copy)]
-pub(crate) struct RobotState<'a> {
+pub(crate) struct RobotJoints<'a> {
     /// As they are.
     pub(crate) truth: &'a [f64],
     /// As the robot senses them.
@@ -57,7 +57,7 @@ pub(crate) struct SceneState<'a> {
     /// Where everything was shortly before; `None` where that is not known, and nothing is blurred.
     pub(crate) before: Option<&'a Moment>,
     /// The robots, in the world's order.
-    pub(crate) robots: &'a [RobotState<'a>],
+    pub(crate) robots: &'a [RobotJoints<'a>],
     /// Poses of all bodies.
     pub(crate) objects: &'a [Isometry3<f64>],
     /// Poses of the parts of all people.
@@ -169,7 +169,7 @@ impl Drawing {
     }
 
     /// Moves the robots to where they are.
-    pub(crate) fn update(&mut self, robots: &[RobotState<'_>]) {
+    pub(crate) fn update(&mut self, robots: &[RobotJoints<'_>]) {
         for ((kinematics, _), state) in self.robots.iter_mut().zip(robots) {
             kinematics.update(state.truth);
         }

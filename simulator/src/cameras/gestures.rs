@@ -104,7 +104,7 @@ fn watch(world: &World, seed: u64) -> Score {
     let mut eyes = Eyes::new(world, 0, &robots[0], seed);
     let mut drawing = Drawing::new(world, &robots, &table, seed);
     let mut wiper = Wiper::new(&model, &robots[0].arm);
-    drawing.update(&[RobotState { truth: &wiper.q, sensed: &wiper.q }]);
+    drawing.update(&[RobotJoints { truth: &wiper.q, sensed: &wiper.q }]);
     let camera = drawing.links(0, eyes.left)[1].translation.vector.into();
     let rng = ChaCha8Rng::seed_from_u64(seed);
     let mut coach = Coach::new(&world.coach, world.table.height, (camera, 1.0), rng);
@@ -134,7 +134,7 @@ fn watch(world: &World, seed: u64) -> Score {
         let view = SceneState {
             before: None,
             exposed_ns: step * 5_000_000,
-            robots: &[RobotState { truth: &wiper.q, sensed: &wiper.q }],
+            robots: &[RobotJoints { truth: &wiper.q, sensed: &wiper.q }],
             objects: &[tcp * Isometry3::from_parts(world.grasp_in_tcp().into(), UnitQuaternion::identity())],
             people: &[],
             coach: &state,

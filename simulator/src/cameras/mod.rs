@@ -35,7 +35,7 @@ use crate::world::{CameraSpec, Faults, ImageFault, World};
 
 pub(crate) use agents::AgentEyes;
 pub use drawing::Moment;
-pub(crate) use drawing::{Drawing, RobotState, SceneState};
+pub(crate) use drawing::{Drawing, RobotJoints, SceneState};
 
 pub use distant::{DistantCameras, Scenery, SceneryError, ScenerySink};
 

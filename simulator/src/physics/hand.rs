@@ -18,7 +18,7 @@ use super::soft_grip::SoftGrip;
 use super::wrench::{Momentum, WristWrench};
 
 /// A hand, and what it does.
-pub(super) struct Hand {
+pub(super) struct SimulatedHand {
     /// The link in whose frame the sensor measures, and the TCP.
     frames: [LinkId; 2],
     /// The links of the pads.
@@ -38,7 +38,7 @@ pub(super) struct Hand {
     pub(super) soft: Option<SoftGrip>,
 }
 
-impl Hand {
+impl SimulatedHand {
     /// The hand of an arm; `None` if that has no TCP.
     pub(super) fn new(
         model: &Model,

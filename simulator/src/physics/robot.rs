@@ -12,7 +12,7 @@ use rapier3d_f64::prelude::ColliderHandle;
 use super::assembly::Assembly;
 use super::build::{RobotBodies, add_robot};
 use super::drives::Joints;
-use super::hand::Hand;
+use super::hand::SimulatedHand;
 use super::pad::{Pad, PadReaction};
 use super::people::LedHand;
 use crate::error::PlantError;
@@ -34,7 +34,7 @@ pub(super) struct ArmWithHand {
     pub(super) colliders: Vec<ColliderHandle>,
     /// Whether something touched it in the last step.
     pub(super) touched: bool,
-    pub(super) hand: Hand,
+    pub(super) hand: SimulatedHand,
     pub(super) pad: Option<PaddedHand>,
     /// What a person who leads its hand did in the last step.
     pub(super) led: Option<LedHand>,
@@ -120,7 +120,7 @@ impl PlantRobot {
         let still = vec![0.0; start.len()];
         let parts = add_robot(physics, &model, &assembly, (&room_from_root, &errors), (&start, &still))?;
         let arm = |limb: &&Limb| {
-            let hand = Hand::new(&model, limb, (&assembly, &parts), objects)?;
+            let hand = SimulatedHand::new(&model, limb, (&assembly, &parts), objects)?;
             let targets = own(limb).iter().map(|&joint| start[joint]).collect();
             Some(ArmWithHand {
                 joints: own(limb),
@@ -148,7 +148,7 @@ impl PlantRobot {
     }
 
     /// The hand of the arm that works.
-    pub(super) fn hand(&self) -> &Hand {
+    pub(super) fn hand(&self) -> &SimulatedHand {
         &self.arms[self.working].hand
     }
 

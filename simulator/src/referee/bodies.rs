@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::probes::{Probe, cell, figure, of_each, table_of, things};
-use super::run::Run;
+use super::run::JudgedRun;
 use crate::physics::Touched;
 use crate::world::BodySpec;
 
@@ -41,7 +41,7 @@ struct BodyFigures {
     touched_with_n: f64,
 }
 
-fn bodies(run: &Run<'_>) -> Vec<BodyFigures> {
+fn bodies(run: &JudgedRun<'_>) -> Vec<BodyFigures> {
     let objects = run.world.objects.len();
     let named = objects + run.world.bodies.len();
     let mut inside = named;

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::Milestone;
 use super::probes::{Probe, figure};
-use super::run::{Run, ns, seconds};
+use super::run::{JudgedRun, ns, seconds};
 use crate::physics::PressedLoad;
 use crate::world::{BodySpec, Disturbance, GRAVITY, WorldEvent};
 
@@ -88,14 +88,14 @@ struct CarryingFigures {
 pub(super) type Pressed = (u64, PressedLoad, Isometry3<f64>);
 
 /// What was between the hands in a span of time, ns.
-pub(super) fn between<'r>(run: &Run<'r>, from: u64, to: u64) -> &'r [Pressed] {
+pub(super) fn between<'r>(run: &JudgedRun<'r>, from: u64, to: u64) -> &'r [Pressed] {
     let at = |t: u64| run.log.pressed.partition_point(|(stamp, ..)| *stamp < t);
     let (from, to) = (at(from), at(to));
     &run.log.pressed[from..to.max(from)]
 }
 
 /// While it was carried: from the first time that this began to the last time that it ended, or to the end of the run.
-fn carried<'r>(run: &Run<'r>) -> Option<&'r [Pressed]> {
+fn carried<'r>(run: &JudgedRun<'r>) -> Option<&'r [Pressed]> {
     let from = run.first_time_of(|mark| *mark == Milestone::CarryingStarted)?;
     let to = run.time_of(|mark| matches!(mark, Milestone::CarryingEnded { .. })).filter(|to| *to > from);
     Some(between(run, from, to.unwrap_or(run.end_ns())))
@@ -119,7 +119,7 @@ pub(super) fn in_hands((_, load, pose): &Pressed) -> Vector3<f64> {
     pose.inverse_transform_point(&middle).coords
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let carried = carried(run)?;
     let [begin, .., end] = carried else { return None };
     let (from, load, start) = begin;
@@ -171,7 +171,7 @@ fn measure(run: &Run<'_>) -> Option<Value> {
 }
 
 /// RMS of the internal force less the asked one, N, from the end of the first motion, in which the load was weighed, on.
-fn squeeze_rms(run: &Run<'_>, carried: &[Pressed], mass: f64) -> Option<f64> {
+fn squeeze_rms(run: &JudgedRun<'_>, carried: &[Pressed], mass: f64) -> Option<f64> {
     let weighed = run.first_time_of(|mark| matches!(mark, Milestone::CarryingEnded { .. }))?;
     let asked = (MARGIN * mass * GRAVITY / (2.0 * FRICTION)).min(CRUSHED_N);
     let shoved = |at: u64| {
@@ -193,7 +193,7 @@ struct Upon {
 }
 
 impl Upon {
-    fn of(run: &Run<'_>, load: usize) -> Option<Self> {
+    fn of(run: &JudgedRun<'_>, load: usize) -> Option<Self> {
         let name = run.world.body_name(load)?;
         let stands = |(_, body): &(usize, BodySpec)| body.on.as_deref() == Some(name);
         let (body, spec) = run.world.named_bodies().enumerate().find(stands)?;
@@ -202,7 +202,7 @@ impl Upon {
     }
 
     /// How it stood in each millisecond from `from` ns on in which both hands have the load.
-    fn stood(&self, run: &Run<'_>, from: u64) -> Option<Vec<Stood>> {
+    fn stood(&self, run: &JudgedRun<'_>, from: u64) -> Option<Vec<Stood>> {
         let held = between(run, from, u64::MAX);
         let places = run.log.moved.get(&self.body)?;
         let mut next = 0;
@@ -241,7 +241,7 @@ struct Stood {
 }
 
 /// The largest force of the table less the weight, N, and how far the load moved from when the table bore it, m.
-fn put_down(run: &Run<'_>, weight: f64) -> Option<(f64, f64)> {
+fn put_down(run: &JudgedRun<'_>, weight: f64) -> Option<(f64, f64)> {
     let from = run.time_of(|mark| *mark == Milestone::PutDownStarted)?;
     let to = run.time_of(|mark| *mark == Milestone::PutDownEnded).filter(|to| *to > from)?;
     let lowered = between(run, from, to);
@@ -287,7 +287,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     figures
 }
 
-fn section(run: &Run<'_>, _: &Value) -> Vec<Section> {
+fn section(run: &JudgedRun<'_>, _: &Value) -> Vec<Section> {
     let Some(carried) = carried(run).filter(|carried| !carried.is_empty()) else { return Vec::new() };
     let drawn = || carried.iter().step_by(STRIDE);
     let t_s = || drawn().map(|(at, ..)| seconds(*at)).collect::<Vec<_>>();
@@ -371,7 +371,7 @@ mod tests {
             (2_500_000_000, Milestone::PutDownStarted),
             (3_990_000_000, Milestone::PutDownEnded),
         ];
-        measure(&Run::new(&world, &log, &marks, &[])).unwrap()
+        measure(&JudgedRun::new(&world, &log, &marks, &[])).unwrap()
     }
 
     #[test]
@@ -413,7 +413,7 @@ mod tests {
             (1_000_000_000, Milestone::CarryingStarted),
             (2_400_000_000, Milestone::CarryingEnded { weight_n: 2.1 * GRAVITY }),
         ];
-        measure(&Run::new(&world, &log, &marks, &[])).unwrap()
+        measure(&JudgedRun::new(&world, &log, &marks, &[])).unwrap()
     }
 
     #[test]
@@ -445,7 +445,7 @@ mod tests {
         let ended = |at| (at, Milestone::CarryingEnded { weight_n: 19.0 });
         let marks = [(1_000_000_000, Milestone::CarryingStarted), ended(1_200_000_000), ended(3_400_000_000)];
         let rms = |world: &World| {
-            let own = measure(&Run::new(world, &log, &marks, &[])).unwrap();
+            let own = measure(&JudgedRun::new(world, &log, &marks, &[])).unwrap();
             own["squeeze_rms_n"].as_f64().unwrap()
         };
         assert!(rms(&world) > 5.0, "{}", rms(&world));

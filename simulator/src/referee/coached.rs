@@ -10,7 +10,7 @@ use super::Milestone;
 use super::log::Record;
 use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
 use super::probes::{Probe, cell, figure, of_each, table_of, things};
-use super::run::{Run, ns};
+use super::run::{JudgedRun, ns};
 use crate::coach::{ActionKind, EventKind, PhaseTracker};
 use crate::world::{CoachingAction, Gesture};
 
@@ -108,7 +108,7 @@ struct Uncoached {
     newest: Period,
 }
 
-impl Run<'_> {
+impl JudgedRun<'_> {
     /// One entry for each action that began.
     fn coaching(&self) -> Vec<CoachingFigures> {
         let began = self.log.coach.iter().filter(|e| e.event == EventKind::Began);

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::log::KnownSurface;
 use super::probes::{Probe, cell, figure, table_of, things};
-use super::run::Run;
+use super::run::JudgedRun;
 use crate::render::Background;
 use crate::table::TableTop;
 use crate::truth::FrameTruth;
@@ -94,7 +94,7 @@ struct MovedFigures {
     still_known: u32,
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     // Without a model of the surroundings there is nothing to judge.
     run.log.surfaces.iter().find(|(_, _, known)| known.is_some())?;
     let known = known_at(run, u64::MAX);
@@ -126,7 +126,7 @@ fn asked(world: &World) -> (f64, f64) {
 }
 
 /// What memory held at a time and took for there.
-fn known_at<'r>(run: &Run<'r>, at_ns: u64) -> Vec<&'r KnownSurface> {
+fn known_at<'r>(run: &JudgedRun<'r>, at_ns: u64) -> Vec<&'r KnownSurface> {
     let mut held = std::collections::BTreeMap::new();
     for (_, name, known) in run.log.surfaces.iter().take_while(|(stamp, ..)| *stamp <= at_ns) {
         held.insert(name, known.as_ref());
@@ -135,7 +135,10 @@ fn known_at<'r>(run: &Run<'r>, at_ns: u64) -> Vec<&'r KnownSurface> {
 }
 
 /// All faces that can be seen; `pick` says where a body counts, of where it began and where it ended.
-fn faces(run: &Run<'_>, pick: impl Fn((Isometry3<f64>, Isometry3<f64>)) -> Isometry3<f64>) -> Vec<Face> {
+fn faces(
+    run: &JudgedRun<'_>,
+    pick: impl Fn((Isometry3<f64>, Isometry3<f64>)) -> Isometry3<f64>,
+) -> Vec<Face> {
     let table = TableTop::new(&run.world.table);
     let mut faces = vec![Face {
         name: "table".into(),
@@ -190,7 +193,7 @@ impl Face {
     }
 }
 
-fn top(run: &Run<'_>, face: &Face, known: Option<&KnownSurface>) -> TopFigures {
+fn top(run: &JudgedRun<'_>, face: &Face, known: Option<&KnownSurface>) -> TopFigures {
     let looked_at_s =
         looked_at(run, &[face.pose.translation.vector.into()], 0).last().map_or(0.0, |(_, s)| *s);
     let edges = |size: [f64; 2]| [size[0].max(size[1]), size[0].min(size[1])];
@@ -217,7 +220,7 @@ fn top(run: &Run<'_>, face: &Face, known: Option<&KnownSurface>) -> TopFigures {
 }
 
 /// The frames from a time on in which one of some places is in view, with the time for which that has been so by then, s.
-fn looked_at(run: &Run<'_>, places: &[Point3<f64>], from_ns: u64) -> Vec<(u64, f64)> {
+fn looked_at(run: &JudgedRun<'_>, places: &[Point3<f64>], from_ns: u64) -> Vec<(u64, f64)> {
     let spec = &run.world.camera;
     let center = [f64::from(spec.width) / 2.0, f64::from(spec.height) / 2.0];
     let camera = PinholeCamera { width: spec.width, height: spec.height, focal: spec.focal, center };
@@ -233,7 +236,7 @@ fn looked_at(run: &Run<'_>, places: &[Point3<f64>], from_ns: u64) -> Vec<(u64, f
 }
 
 /// The furniture that has left its place.
-fn moved(run: &Run<'_>) -> Vec<MovedFigures> {
+fn moved(run: &JudgedRun<'_>) -> Vec<MovedFigures> {
     let tops = faces(run, |begin_and_end| begin_and_end.0);
     let mut figures = Vec::new();
     for top in tops.iter().filter(|top| top.is_top) {
@@ -309,7 +312,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     figures
 }
 
-fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
+fn section(_: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     let titles = ["Top of", "Known as", "#Looked at for", "#Height off by", "#Tilt off by"];
     let tops = table_of(&own["tops"], &titles, |top| {
         let text = |key: &str| Cell::Text(top[key].as_str().unwrap_or("-").to_owned());

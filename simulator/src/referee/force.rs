@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::Milestone;
 use super::paths::{positions, repeat_period};
 use super::probes::{Probe, figure};
-use super::run::{Run, name, seconds};
+use super::run::{JudgedRun, name, seconds};
 use crate::coach::EventKind;
 
 pub(super) const PROBE: Probe = Probe {
@@ -64,7 +64,7 @@ fn asks(own: &Value) -> Vec<Figure> {
 }
 
 /// Five periods of the executed motion from the end of adaptation, or fewer if the coach acts before.
-fn force(run: &Run<'_>) -> Option<ForceFigures> {
+fn force(run: &JudgedRun<'_>) -> Option<ForceFigures> {
     let (ended, mark) = run.marked(|m| matches!(m, Milestone::AdaptationEnded { .. }))?;
     let Milestone::AdaptationEnded { desired_n, cycles } = mark else { return None };
     let until = run.coaching_ns().max(ended);
@@ -85,7 +85,7 @@ fn force(run: &Run<'_>) -> Option<ForceFigures> {
     })
 }
 
-fn touchdown(run: &Run<'_>, ended: u64) -> f64 {
+fn touchdown(run: &JudgedRun<'_>, ended: u64) -> f64 {
     let started = run.time_of(|m| *m == Milestone::AdaptationStarted).unwrap_or(0);
     let adapting = run.log.between(started.min(ended), ended);
     let touched = adapting.iter().position(|r| r.normal > LOST_N).unwrap_or(adapting.len());
@@ -93,7 +93,7 @@ fn touchdown(run: &Run<'_>, ended: u64) -> f64 {
 }
 
 /// The true contact force from touchdown on, and the times at which the coach acted.
-fn plot(run: &Run<'_>) -> Option<TimePlot> {
+fn plot(run: &JudgedRun<'_>) -> Option<TimePlot> {
     let from = run.time_of(|m| *m == Milestone::AdaptationStarted)?;
     let adapted = run.marked(|m| matches!(m, Milestone::AdaptationEnded { .. }));
     let wanted = adapted.and_then(|(t, mark)| match mark {

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::Milestone;
 use super::log::{KnownThing, NeededThing};
 use super::probes::{Probe, cell, figure, table_of};
-use super::run::{Run, seconds};
+use super::run::{JudgedRun, seconds};
 
 pub(super) const PROBE: Probe = Probe { name: "gaze", measure, asks, section };
 
@@ -42,7 +42,7 @@ struct GraspFigures {
     age_s: f64,
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let left = run.marks().iter().filter(|(_, mark)| *mark == Milestone::PrePoseLeft);
     let grasps: Vec<GraspFigures> = left.filter_map(|(at, _)| grasp(run, *at)).collect();
     if grasps.is_empty() {
@@ -59,13 +59,13 @@ fn measure(run: &Run<'_>) -> Option<Value> {
 }
 
 /// What memory knew of a thing at a time.
-fn known<'r>(run: &Run<'r>, thing: &str, at_ns: u64) -> Option<&'r KnownThing> {
+fn known<'r>(run: &JudgedRun<'r>, thing: &str, at_ns: u64) -> Option<&'r KnownThing> {
     let until = run.log.things.partition_point(|(stamp, ..)| *stamp <= at_ns);
     run.log.things[..until].iter().rev().find(|(_, name, _)| name == thing).map(|(.., known)| known)
 }
 
 /// The thing whose place a hand left at a time: it was needed until then.
-fn grasp(run: &Run<'_>, at_ns: u64) -> Option<GraspFigures> {
+fn grasp(run: &JudgedRun<'_>, at_ns: u64) -> Option<GraspFigures> {
     let need = run.log.needs.iter().find(|need| need.to_ns == Some(at_ns))?;
     let known = known(run, &need.thing, at_ns)?;
     let body = run.world.named_bodies().position(|body| body.name == known.class)?;
@@ -79,7 +79,7 @@ fn grasp(run: &Run<'_>, at_ns: u64) -> Option<GraspFigures> {
 }
 
 /// For how long a needed thing was old, and for how long something was needed, ns.
-fn ages(run: &Run<'_>) -> (u64, u64) {
+fn ages(run: &JudgedRun<'_>) -> (u64, u64) {
     let end_ns = run.end_ns();
     let (mut old, mut needed) = (0, 0);
     for at in (0..end_ns).step_by(STEP_NS as usize) {
@@ -109,7 +109,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     ]
 }
 
-fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
+fn section(_: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }
@@ -161,7 +161,8 @@ mod tests {
         log.things = vec![(SECOND, "thing".into(), known(SECOND))];
         log.needs(SECOND, 7, "thing");
         log.needs_no_more(3 * SECOND, 7);
-        let own = measure(&Run::new(&world, &log, &[(3 * SECOND, Milestone::PrePoseLeft)], &[])).unwrap();
+        let own =
+            measure(&JudgedRun::new(&world, &log, &[(3 * SECOND, Milestone::PrePoseLeft)], &[])).unwrap();
         assert!((own["mean_error_m"].as_f64().unwrap() - 0.06).abs() < 1e-9, "{own}");
         assert!((own["grasps"][0]["age_s"].as_f64().unwrap() - 2.0).abs() < 1e-9, "{own}");
         assert!((own["needed_s"].as_f64().unwrap() - 2.0).abs() < 0.011, "{own}");

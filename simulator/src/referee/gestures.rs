@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::probes::{Probe, figure};
-use super::run::Run;
+use super::run::JudgedRun;
 use crate::truth::FrameTruth;
 use crate::world::Gesture;
 
@@ -37,8 +37,8 @@ struct GestureFigures {
 }
 
 /// All frames between the first and the last that vision processed. A skipped frame counts as nothing recognised.
-fn gestures(run: &Run<'_>) -> Option<GestureFigures> {
-    let Run { log, seen: answers, .. } = run;
+fn gestures(run: &JudgedRun<'_>) -> Option<GestureFigures> {
+    let JudgedRun { log, seen: answers, .. } = run;
     let (first, _) = answers.first_key_value()?;
     let (last, _) = answers.last_key_value()?;
     let looked_at = log.frames.iter().filter(|f| (*first..=*last).contains(&f.stamp_ns));
@@ -99,7 +99,7 @@ mod tests {
             });
             seen.push((i, (i >= 85).then(|| "fist".to_owned())));
         }
-        let figures = gestures(&Run::new(&world, &log, &[], &seen)).unwrap();
+        let figures = gestures(&JudgedRun::new(&world, &log, &[], &seen)).unwrap();
         assert_eq!(figures.frames, 40);
         assert!((figures.accuracy - 35.0 / 40.0).abs() < 1e-12);
         assert_eq!(figures.confusion["fist"]["none"], 5);

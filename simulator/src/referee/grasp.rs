@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::Milestone;
 use super::probes::{Probe, figure};
-use super::run::Run;
+use super::run::JudgedRun;
 
 pub(super) const PROBE: Probe = Probe {
     name: "grasp",
@@ -26,7 +26,7 @@ struct GraspFigures {
 }
 
 /// Of the object in the hand when it closed last; of the one in question if there was none in it.
-fn grasp(run: &Run<'_>) -> Option<GraspFigures> {
+fn grasp(run: &JudgedRun<'_>) -> Option<GraspFigures> {
     let record = run.log.at(run.time_of(|m| *m == Milestone::GraspClosed)?)?;
     let (object, pose) = record.object?;
     let in_tcp = record.tcp.inverse() * pose;

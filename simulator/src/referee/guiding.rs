@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::imitation::plan;
 use super::log::Record;
 use super::probes::{Probe, cell, figure, table_of, things};
-use super::run::{Run, ns, seconds};
+use super::run::{JudgedRun, ns, seconds};
 use super::{Milestone, TruthLog};
 use crate::physics::LedHand;
 use crate::world::{Disturbance, WorldEvent, WrenchFault};
@@ -70,7 +70,7 @@ struct PushFigures {
     stood_after_s: Option<f64>,
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let started = run.first_time_of(|mark| *mark == Milestone::GuidingStarted)?;
     let leads: Vec<LeadFigures> = leads(run.log).iter().filter_map(|led| lead(led)).collect();
     let pushes: Vec<PushFigures> = pushes(run).map(|push| pushed(run.log, push)).collect();
@@ -135,7 +135,7 @@ fn lead(led: &[(u64, LedHand)]) -> Option<LeadFigures> {
 
 /// The distance of the path that was played from the one that was led last, RMS, minimised over the time between them, m. Both
 /// are those of the true TCP.
-fn played(run: &Run<'_>) -> Option<f64> {
+fn played(run: &JudgedRun<'_>) -> Option<f64> {
     let from = run.time_of(|mark| *mark == Milestone::PlayStarted)?;
     let to = run.time_of(|mark| *mark == Milestone::PlayEnded)?;
     let all = leads(run.log);
@@ -161,16 +161,16 @@ fn played(run: &Run<'_>) -> Option<f64> {
 }
 
 /// The forces on the hand at times that the world's file says. One that is there from the start is a weight, and no push.
-fn pushes<'r>(run: &'r Run<'_>) -> impl Iterator<Item = &'r Disturbance> {
+fn pushes<'r>(run: &'r JudgedRun<'_>) -> impl Iterator<Item = &'r Disturbance> {
     let on_the_hand = |d: &&Disturbance| d.after == WorldEvent::Start && d.at > 0.0 && d.knock == "hand";
     run.world.disturbances.iter().filter(on_the_hand)
 }
 
-fn pushes_ns(run: &Run<'_>) -> impl Iterator<Item = u64> {
+fn pushes_ns(run: &JudgedRun<'_>) -> impl Iterator<Item = u64> {
     pushes(run).map(|push| ns(push.at))
 }
 
-fn frozen_ns(run: &Run<'_>) -> Option<u64> {
+fn frozen_ns(run: &JudgedRun<'_>) -> Option<u64> {
     let faults = &run.world.faults;
     (faults.wrench == WrenchFault::Frozen).then(|| ns(faults.from))
 }
@@ -254,7 +254,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     figures
 }
 
-fn section(run: &Run<'_>, own: &Value) -> Vec<Section> {
+fn section(run: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }
@@ -339,7 +339,7 @@ mod tests {
 
     fn figures(world: &World, log: &TruthLog) -> Value {
         let marks = [(1_000_000_000, Milestone::GuidingStarted)];
-        measure(&Run::new(world, log, &marks, &[])).unwrap()
+        measure(&JudgedRun::new(world, log, &marks, &[])).unwrap()
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::Milestone;
 use super::log::Record;
 use super::paths::{distance_to_coach, mean_period, positions, repeat_period};
 use super::probes::{Probe, figure};
-use super::run::{Run, name, ns};
+use super::run::{JudgedRun, name, ns};
 use crate::coach::{CoachPath, EventKind};
 
 pub(super) const PROBE: Probe = Probe {
@@ -55,7 +55,7 @@ fn asks(own: &Value) -> Vec<Figure> {
 
 /// From the steady part of the free-space motion (from [`Milestone::FreeSpaceSteady`], else from the end of
 /// learning) until adaptation starts. The path is the last whole period.
-fn imitation(run: &Run<'_>) -> Option<ImitationFigures> {
+fn imitation(run: &JudgedRun<'_>) -> Option<ImitationFigures> {
     let learned = run.time_of(|m| *m == Milestone::LearningEnded)?;
     let steady = run.time_of(|m| *m == Milestone::FreeSpaceSteady).unwrap_or(learned);
     let until = run.lowered_after(learned).unwrap_or(run.end_ns());
@@ -72,7 +72,7 @@ fn imitation(run: &Run<'_>) -> Option<ImitationFigures> {
 
 /// The coach's path, the one performed in free space, the one wiped, and the one after each of the coach's actions.
 /// Each is one period, except that the coach's path has all its periods.
-fn paths(run: &Run<'_>) -> Vec<Path> {
+fn paths(run: &JudgedRun<'_>) -> Vec<Path> {
     let log = run.log;
     let Some(shown) = &run.world.coach.demonstration else { return Vec::new() };
     let end = log.records.last().map_or(0, |r| r.stamp_ns);

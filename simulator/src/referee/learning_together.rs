@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::Milestone;
 use super::carrying::{CRUSHED_N, Pressed, between, in_hands, internal_force, tilt};
 use super::probes::{Probe, cell, figure, table_of, things};
-use super::run::{Run, seconds};
+use super::run::{JudgedRun, seconds};
 
 pub(super) const PROBE: Probe = Probe { name: "learning_together", measure, asks, section };
 
@@ -51,7 +51,7 @@ struct Epoch {
 }
 
 /// The epochs that were done to their end.
-fn epochs(run: &Run<'_>) -> Vec<Epoch> {
+fn epochs(run: &JudgedRun<'_>) -> Vec<Epoch> {
     let mut all = Vec::new();
     let (mut from, mut periods) = (None, None);
     for (at, mark) in run.marks() {
@@ -79,7 +79,7 @@ fn rms(part: &[Pressed], first: &Pressed, of: impl Fn(&Pressed) -> Vector3<f64>)
     (sum / part.len().max(1) as f64).sqrt()
 }
 
-fn judge(run: &Run<'_>, epoch: &Epoch) -> Option<EpochFigures> {
+fn judge(run: &JudgedRun<'_>, epoch: &Epoch) -> Option<EpochFigures> {
     let all = between(run, epoch.from, epoch.to);
     let [first, .., last] = all else { return None };
     let (discrete, periods) = all.split_at(all.partition_point(|(at, ..)| *at < epoch.periods));
@@ -100,7 +100,7 @@ fn judge(run: &Run<'_>, epoch: &Epoch) -> Option<EpochFigures> {
     })
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     run.first_time_of(|mark| *mark == Milestone::EpochStarted)?;
     let epochs: Vec<EpochFigures> = epochs(run).iter().filter_map(|epoch| judge(run, epoch)).collect();
     let mut figures = json!({"epochs": epochs});
@@ -145,7 +145,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     ]
 }
 
-fn section(run: &Run<'_>, own: &Value) -> Vec<Section> {
+fn section(run: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     let epochs = epochs(run);
     let (Some(first), Some(last)) = (epochs.first(), epochs.last()) else { return Vec::new() };
     let ended = |epoch: &Value| Some(epoch["from_s"].as_f64()? + epoch["for_s"].as_f64()?);
@@ -199,7 +199,7 @@ fn table(epochs: &Value) -> Table {
     })
 }
 
-fn heights(run: &Run<'_>, title: &str, epoch: &Epoch) -> TimePlot {
+fn heights(run: &JudgedRun<'_>, title: &str, epoch: &Epoch) -> TimePlot {
     let all = between(run, epoch.from, epoch.to);
     let drawn = || all.iter().step_by(STRIDE);
     let height = |hand: usize| {
@@ -258,7 +258,7 @@ mod tests {
         // One that was disturbed does not count.
         marks.push((100_000_000_000, Milestone::EpochStarted));
         marks.push((101_000_000_000, Milestone::LearnedTogether { before }));
-        measure(&Run::new(&world, &log, &marks, &[])).unwrap()
+        measure(&JudgedRun::new(&world, &log, &marks, &[])).unwrap()
     }
 
     fn missed(own: &Value) -> Vec<String> {

@@ -35,7 +35,7 @@ use log::MAX_FRAMES;
 pub use log::{KnownHypothesis, KnownSurface, KnownThing, KnownTouch, Record, TruthLog};
 use parking_lot::{Mutex, MutexGuard};
 pub use probes::judged_figures;
-use run::Run;
+use run::JudgedRun;
 use serde_json::{Map, Value};
 pub use wiped::WipedCells;
 
@@ -158,8 +158,8 @@ struct Notes {
 }
 
 impl Notes {
-    fn run(&self) -> Run<'_> {
-        Run::new(&self.world, &self.log, &self.marks, &self.seen)
+    fn run(&self) -> JudgedRun<'_> {
+        JudgedRun::new(&self.world, &self.log, &self.marks, &self.seen)
     }
 }
 
@@ -170,7 +170,7 @@ pub fn measure(
     marks: &[(u64, Milestone)],
     seen: &[(u64, Option<String>)],
 ) -> Map<String, Value> {
-    probes::measure(&Run::new(world, log, marks, seen))
+    probes::measure(&JudgedRun::new(world, log, marks, seen))
 }
 
 /// Adds to a list that must not grow without end.

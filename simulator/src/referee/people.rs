@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::probes::{Probe, cell, figure, of_each, table_of, things};
-use super::run::Run;
+use super::run::JudgedRun;
 use crate::physics::Touched;
 
 /// The largest permitted force on a hand that is clamped, N: ISO/TS 15066, annex A, hands and fingers. A force in free
@@ -32,7 +32,7 @@ struct PersonFigures {
     touched_with_n: f64,
 }
 
-fn people(run: &Run<'_>) -> Vec<PersonFigures> {
+fn people(run: &JudgedRun<'_>) -> Vec<PersonFigures> {
     let one = |(index, spec): (usize, &crate::world::PersonSpec)| {
         Some(PersonFigures {
             name: spec.name.clone(),

@@ -7,7 +7,7 @@ use armarium_values::report::{Cell, Figure, Requirement, Section, Table};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::run::Run;
+use super::run::JudgedRun;
 use super::{
     bodies, carrying, coached, environment, force, gaze, gestures, grasp, guiding, imitation,
     learning_together, people, reaching, segmentation, touch, wiped,
@@ -18,11 +18,11 @@ pub(super) struct Probe {
     /// Its name, by which a world names it, and under which its figures are in `report.json`.
     pub(super) name: &'static str,
     /// Its figures; `None` where the run has nothing to judge.
-    pub(super) measure: fn(&Run<'_>) -> Option<Value>,
+    pub(super) measure: fn(&JudgedRun<'_>) -> Option<Value>,
     /// What is asked of its figures.
     pub(super) asks: fn(&Value) -> Vec<Figure>,
     /// Its section of the report, with its figures if it has any.
-    pub(super) section: fn(&Run<'_>, &Value) -> Vec<Section>,
+    pub(super) section: fn(&JudgedRun<'_>, &Value) -> Vec<Section>,
 }
 
 /// All probes, in the order of the report.
@@ -46,7 +46,7 @@ const PROBES: [&Probe; 16] = [
 ];
 
 /// The figures of the probes that the world wants and that find something, by their names.
-pub(super) fn measure(run: &Run<'_>) -> Map<String, Value> {
+pub(super) fn measure(run: &JudgedRun<'_>) -> Map<String, Value> {
     let wanted = |probe: &&&Probe| {
         let named = &run.world.probes;
         named.is_empty() || named.iter().any(|name| name == probe.name)
@@ -63,7 +63,7 @@ pub fn judged_figures(report: &Value) -> Vec<Figure> {
 }
 
 /// The sections of all probes that have figures, after one with all figures.
-pub(super) fn sections(run: &Run<'_>, report: &Value) -> Vec<Section> {
+pub(super) fn sections(run: &JudgedRun<'_>, report: &Value) -> Vec<Section> {
     let figures = armarium_values::report::Block::Figures(judged_figures(report));
     let mut all = vec![Section::new("Figures", "Measured against the simulator's truth.", vec![figures])];
     for probe in PROBES {

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::Milestone;
 use super::probes::{Probe, figure};
-use super::run::{Run, seconds};
+use super::run::{JudgedRun, seconds};
 use crate::world::BodySpec;
 
 pub(super) const PROBE: Probe = Probe { name: "reaching", measure, asks, section };
@@ -41,7 +41,7 @@ struct GraspErrors {
 }
 
 /// While the hands went to the handles.
-fn reached(run: &Run<'_>) -> Option<GraspErrors> {
+fn reached(run: &JudgedRun<'_>) -> Option<GraspErrors> {
     let to = run.time_of(|mark| *mark == Milestone::GraspsReached)?;
     let from = run.first_time_of(|mark| *mark == Milestone::ReachingStarted)?;
     let has_two = |(_, body): &(usize, BodySpec)| body.handle_places().len() >= 2;
@@ -87,7 +87,7 @@ impl GraspErrors {
     }
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let reached = reached(run)?;
     let (begin, end) = (reached.errors.first()?, reached.errors.last()?);
     let apart = reached.arrival(0).zip(reached.arrival(1)).map(|(a, b)| seconds(a.abs_diff(b)));
@@ -111,7 +111,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     ]
 }
 
-fn section(run: &Run<'_>, _: &Value) -> Vec<Section> {
+fn section(run: &JudgedRun<'_>, _: &Value) -> Vec<Section> {
     let Some(reached) = reached(run) else { return Vec::new() };
     let series = |hand: usize, label: &str| {
         let drawn = || reached.errors.iter().step_by(STRIDE);
@@ -163,7 +163,7 @@ mod tests {
             log.tcps.push((ms * 1_000_000, [tcp(1, 0, 0.0), tcp(0, late, off)]));
         }
         let marks = [(0, Milestone::ReachingStarted), (2_990_000_000, Milestone::GraspsReached)];
-        measure(&Run::new(&world, &log, &marks, &[])).unwrap()
+        measure(&JudgedRun::new(&world, &log, &marks, &[])).unwrap()
     }
 
     #[test]

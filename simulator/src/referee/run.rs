@@ -8,7 +8,7 @@ use crate::coach::{ActionEvent, CoachPath, EventKind};
 use crate::world::World;
 
 /// Everything that a probe may read.
-pub(super) struct Run<'a> {
+pub(super) struct JudgedRun<'a> {
     pub(super) world: &'a World,
     pub(super) log: &'a TruthLog,
     marks: &'a [(u64, Milestone)],
@@ -18,7 +18,7 @@ pub(super) struct Run<'a> {
     pub(super) path: CoachPath,
 }
 
-impl<'a> Run<'a> {
+impl<'a> JudgedRun<'a> {
     pub(super) fn new(
         world: &'a World,
         log: &'a TruthLog,

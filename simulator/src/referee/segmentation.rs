@@ -13,7 +13,7 @@ use serde_json::Value;
 use super::Milestone;
 use super::log::KnownHypothesis;
 use super::probes::{Probe, cell, figure, table_of};
-use super::run::Run;
+use super::run::JudgedRun;
 use crate::render::robot::link_shapes;
 use crate::render::{ExposureMotion, Viewpoint, VisibleScene, depth_of_shapes};
 use crate::truth::FrameTruth;
@@ -66,18 +66,18 @@ struct ThingFigures {
 }
 
 /// How the hypotheses of one picture fit.
-struct Fit<'r> {
+struct HypothesisFit<'r> {
     /// Of each body its pixels, its IoU, and its hypothesis.
     of_bodies: Vec<(usize, f64, Option<&'r KnownHypothesis>)>,
     further: usize,
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let stamps = || run.log.hypotheses.iter().filter(|(.., known)| known.is_some()).map(|(stamp, ..)| *stamp);
     let (first, last) = (fit(run, stamps().min()?)?, fit(run, stamps().max()?)?);
     let bodies: Vec<_> = run.world.named_bodies().collect();
     let loose = |index: &usize| bodies[*index].motion == BodyMotion::Free;
-    let seen = |fit: &Fit<'_>, index: usize| fit.of_bodies[index].0 >= SEEN;
+    let seen = |fit: &HypothesisFit<'_>, index: usize| fit.of_bodies[index].0 >= SEEN;
     let of_interest: Vec<usize> =
         (0..bodies.len()).filter(loose).filter(|&i| seen(&first, i) || seen(&last, i)).collect();
     let things: Vec<ThingFigures> = of_interest
@@ -123,7 +123,7 @@ fn measure(run: &Run<'_>) -> Option<Value> {
 }
 
 /// How what memory held of the picture of a time fits; `None` without such a picture.
-fn fit<'r>(run: &Run<'r>, stamp_ns: u64) -> Option<Fit<'r>> {
+fn fit<'r>(run: &JudgedRun<'r>, stamp_ns: u64) -> Option<HypothesisFit<'r>> {
     let frame = run.log.frames.iter().find(|frame| frame.stamp_ns == stamp_ns)?;
     let mut held = std::collections::BTreeMap::new();
     for (_, name, known) in run.log.hypotheses.iter().filter(|(stamp, ..)| *stamp == stamp_ns) {
@@ -159,11 +159,14 @@ fn fit<'r>(run: &Run<'r>, stamp_ns: u64) -> Option<Fit<'r>> {
         (pixels[body], own.map_or(0.0, |h| iou(h, body)), own.map(|h| known[h]))
     });
     let is_further = |h: &usize| matched[*h].is_none_or(|body| iou(*h, body) == 0.0) && sizes[*h] > FURTHER;
-    Some(Fit { of_bodies: of_bodies.collect(), further: (0..known.len()).filter(is_further).count() })
+    Some(HypothesisFit {
+        of_bodies: of_bodies.collect(),
+        further: (0..known.len()).filter(is_further).count(),
+    })
 }
 
 /// The body that each pixel of the left eye shows.
-fn shown(run: &Run<'_>, frame: &FrameTruth) -> Vec<Option<usize>> {
+fn shown(run: &JudgedRun<'_>, frame: &FrameTruth) -> Vec<Option<usize>> {
     let spec = &run.world.camera;
     let center = [f64::from(spec.width) / 2.0, f64::from(spec.height) / 2.0];
     let camera = PinholeCamera { width: spec.width, height: spec.height, focal: spec.focal, center };
@@ -244,7 +247,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     ]
 }
 
-fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
+fn section(_: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }

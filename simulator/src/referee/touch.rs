@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::Milestone;
 use super::probes::{Probe, cell, figure, table_of};
-use super::run::{Run, seconds};
+use super::run::{JudgedRun, seconds};
 
 pub(super) const PROBE: Probe = Probe { name: "touch", measure, asks, section };
 
@@ -78,7 +78,7 @@ impl ApproachFigures {
     }
 }
 
-fn measure(run: &Run<'_>) -> Option<Value> {
+fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let begun = |(_, mark): &&(u64, Milestone)| *mark == Milestone::ApproachStarted;
     let starts: Vec<u64> = run.marks().iter().filter(begun).map(|(at, _)| *at).collect();
     let ends = starts.iter().skip(1).copied().chain([run.end_ns()]);
@@ -107,7 +107,7 @@ fn measure(run: &Run<'_>) -> Option<Value> {
 }
 
 /// The approach that begins at a time, ns; another one, or the end of the run, is at `to`.
-fn approach(run: &Run<'_>, from: u64, to: u64) -> ApproachFigures {
+fn approach(run: &JudgedRun<'_>, from: u64, to: u64) -> ApproachFigures {
     let within = |at: u64| at >= from && at < to;
     let ended = run.marks().iter().find(|(at, mark)| *mark == Milestone::ApproachEnded && within(*at));
     let known = run.log.touches.iter().find(|(at, _)| within(*at));
@@ -131,7 +131,7 @@ fn approach(run: &Run<'_>, from: u64, to: u64) -> ApproachFigures {
 }
 
 /// Whether the hand holds a thing at the end that it has lifted.
-fn is_grasped(run: &Run<'_>) -> bool {
+fn is_grasped(run: &JudgedRun<'_>) -> bool {
     let closed = run.marks().iter().any(|(_, mark)| *mark == Milestone::GraspClosed);
     let lifted = |body: usize| {
         let ends = run.log.begin_and_end(body);
@@ -158,7 +158,7 @@ fn asks(own: &Value) -> Vec<Figure> {
     all
 }
 
-fn section(_: &Run<'_>, own: &Value) -> Vec<Section> {
+fn section(_: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }

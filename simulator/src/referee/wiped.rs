@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::imitation::{STRIDE, plan};
 use super::probes::Probe;
-use super::run::{Run, ns};
+use super::run::{JudgedRun, ns};
 use crate::coach::EventKind;
 use crate::foundation::ElasticFoundation;
 use crate::table::{DIRT_CELL, DirtGrid, TableTop, WIPE_EVERY};
@@ -57,7 +57,7 @@ impl WipedCells {
 /// The footprint is that of the object as the hand holds it (its place and yaw in the hand at the end of
 /// adaptation), with the TCP on the coach's path. Cells count as cleaned by the elastic pressure at the
 /// object's true poses, every 5 ms.
-pub(super) fn wiped(run: &Run<'_>) -> Option<WipedCells> {
+pub(super) fn wiped(run: &JudgedRun<'_>) -> Option<WipedCells> {
     let record = run.log.at(run.adapted()?)?;
     let (object, pose) = record.object?;
     let spec = run.world.named_bodies().nth(object)?.softness()?;
@@ -90,7 +90,7 @@ pub(super) fn wiped(run: &Run<'_>) -> Option<WipedCells> {
 }
 
 /// The cleaned area, and the hand's path until the coach acted. The table's tilt of a few degrees is not drawn.
-fn drawing(run: &Run<'_>, cells: &WipedCells) -> Option<Plan> {
+fn drawing(run: &JudgedRun<'_>, cells: &WipedCells) -> Option<Plan> {
     let adapted = run.adapted()?;
     let until = run.actions(EventKind::Began).next().map_or(u64::MAX, |e| ns(e.t));
     let swept = cells.swept.cells().iter().zip(cells.cleaned.cells()).zip(cells.cleaned_in_the_end.cells());

@@ -3,7 +3,7 @@
 use armarium_robot::Mesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::raster::{Bounds, Canvas, Color, Colors, Form, Lanes, Line, ScanLine, Span};
+use super::raster::{Bounds, Canvas, Color, Colors, ColumnRange, Lanes, LinearForm, PixelLine, ScanLine};
 use super::scene::Background;
 use super::shading::{Light, MOTTLING, Shades};
 
@@ -35,7 +35,7 @@ pub(super) struct Local {
 #[derive(Clone, Copy)]
 pub(super) struct LocalRun {
     eye: [f32; 3],
-    along: [Line; 3],
+    along: [PixelLine; 3],
 }
 
 impl Local {
@@ -120,7 +120,7 @@ impl<const N: usize> Face<N> {
     }
 
     /// 1/depth along a row.
-    pub(super) fn nearness(&self, row: &ScanLine) -> Form {
+    pub(super) fn nearness(&self, row: &ScanLine) -> LinearForm {
         row.form(&self.nearness)
     }
 
@@ -164,7 +164,8 @@ impl<const N: usize> Face<N> {
     ) {
         let edges = self.edges();
         for row in canvas.rows(bounds) {
-            let span = edges.iter().fold(bounds.columns(), |span: Span, edge| span.keep(row.form(edge)));
+            let span =
+                edges.iter().fold(bounds.columns(), |span: ColumnRange, edge| span.keep(row.form(edge)));
             let Some(run) = span.pixels() else { continue };
             let near = self.nearness(&row).line(run.0);
             let paint = paint(&row, run.0);

@@ -36,7 +36,7 @@ struct Finger {
 }
 
 /// A capsule of the hand.
-struct Segment {
+struct Capsule {
     from: Point3<f64>,
     to: Point3<f64>,
     radius: f64,
@@ -108,7 +108,7 @@ pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Sha
 /// The centres of the rounded fingertips in the hand frame, m, from thumb to little finger. The fingers end one
 /// [`tip_radius`] farther.
 pub fn fingertips(pose: &HandPose) -> [Point3<f64>; 5] {
-    let last = |segments: Vec<Segment>| segments.last().map_or_else(Point3::origin, |segment| segment.to);
+    let last = |segments: Vec<Capsule>| segments.last().map_or_else(Point3::origin, |segment| segment.to);
     std::array::from_fn(|i| match i {
         0 => last(thumb(pose)),
         _ => last(finger_segments(&FINGERS[i - 1], i - 1, pose)),
@@ -131,7 +131,7 @@ pub fn landmarks(pose: &HandPose) -> Vec<(Point3<f64>, f64)> {
     segments.flat_map(|s| [(s.from, s.radius), (s.to, s.radius)]).collect()
 }
 
-fn finger_segments(finger: &Finger, index: usize, pose: &HandPose) -> Vec<Segment> {
+fn finger_segments(finger: &Finger, index: usize, pose: &HandPose) -> Vec<Capsule> {
     let flexion = pose.flexion[index + 1];
     // Bent fingers are less spread.
     let spread = pose.spread * finger.spread * (1.0 - flexion).max(0.0);
@@ -143,7 +143,7 @@ fn finger_segments(finger: &Finger, index: usize, pose: &HandPose) -> Vec<Segmen
     })
 }
 
-fn thumb(pose: &HandPose) -> Vec<Segment> {
+fn thumb(pose: &HandPose) -> Vec<Capsule> {
     chain(&THUMB, |joint| {
         let (straight, closed) = (Vector3::from(THUMB_STRAIGHT[joint]), Vector3::from(THUMB_CLOSED[joint]));
         straight.lerp(&closed, pose.flexion[0]).try_normalize(1e-9).unwrap_or(straight)
@@ -151,11 +151,11 @@ fn thumb(pose: &HandPose) -> Vec<Segment> {
 }
 
 /// Three phalanges, each in its direction from the end of the previous one.
-fn chain(finger: &Finger, mut direction: impl FnMut(usize) -> Vector3<f64>) -> Vec<Segment> {
+fn chain(finger: &Finger, mut direction: impl FnMut(usize) -> Vector3<f64>) -> Vec<Capsule> {
     let mut from = Point3::from(finger.knuckle);
     let phalanx = |joint: usize| {
         let to = from + direction(joint) * finger.lengths[joint];
-        let segment = Segment { from, to, radius: finger.radii[joint] };
+        let segment = Capsule { from, to, radius: finger.radii[joint] };
         from = to;
         segment
     };
@@ -163,8 +163,8 @@ fn chain(finger: &Finger, mut direction: impl FnMut(usize) -> Vector3<f64>) -> V
 }
 
 /// The four metacarpals.
-fn palm() -> Vec<Segment> {
-    let bone = |(from, finger): (&[f64; 3], &Finger)| Segment {
+fn palm() -> Vec<Capsule> {
+    let bone = |(from, finger): (&[f64; 3], &Finger)| Capsule {
         from: Point3::from(*from),
         to: Point3::from(finger.knuckle) - Vector3::z() * 0.004,
         radius: PALM_RADIUS,
@@ -181,7 +181,7 @@ fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
 /// Wrist and sleeve.
 fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
     let wrist =
-        |y: f64| Segment { from: Point3::new(0.0, y, -0.04), to: Point3::new(0.0, y, -0.12), radius: 0.021 };
+        |y: f64| Capsule { from: Point3::new(0.0, y, -0.04), to: Point3::new(0.0, y, -0.12), radius: 0.021 };
     let mut shapes: Vec<_> =
         [-0.0095, 0.0095].iter().map(|&y| wrist(y).shape(tinted(SKIN, 0.97, 0.0), scene_from_hand)).collect();
     let middle = Isometry3::translation(0.0, 0.0, -0.26);
@@ -190,7 +190,7 @@ fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
     shapes
 }
 
-impl Segment {
+impl Capsule {
     fn shape(&self, color: [u8; 3], scene_from_hand: &Isometry3<f64>) -> Shape {
         let along = self.to - self.from;
         // A rotation to the opposite of z needs an axis; any perpendicular one will do.

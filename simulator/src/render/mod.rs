@@ -139,8 +139,13 @@ fn draw_shape(
         VisibleForm::Mesh { mesh } => faces::mesh(canvas, &camera_from_shape, mesh, light, &shades),
         VisibleForm::Tabletop { half, bumps, dirt } => {
             let Some(shadow) = shadow else { return };
-            let table =
-                tabletop::Tabletop { camera_from_shape, half: *half, bumps, dirt: dirt.as_deref(), shadow };
+            let table = tabletop::DrawnTabletop {
+                camera_from_shape,
+                half: *half,
+                bumps,
+                dirt: dirt.as_deref(),
+                shadow,
+            };
             tabletop::tabletop(canvas, &table, light, &shades);
         }
     }

@@ -1,7 +1,7 @@
 //! The canvas and its scan lines: which pixels of a row a form covers, and which form is nearest in each pixel.
 //!
 //! A pixel (u, v) looks along d = ((u - cx)/f, (v - cy)/f, 1) in the camera frame, so that the distance along a ray
-//! is the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer holds 1/depth, which
+//! is the depth. Every dot product with d is linear in u along a row: a [`LinearForm`]. The z-buffer holds 1/depth, which
 //! is linear in u on a plane; 0 means that nothing is visible.
 
 use std::ops::Range;
@@ -76,21 +76,21 @@ pub(super) struct ScanLine {
 
 /// A linear function `slope * u + at_zero` of the column along one row.
 #[derive(Clone, Copy)]
-pub(super) struct Form {
+pub(super) struct LinearForm {
     slope: f64,
     at_zero: f64,
 }
 
-/// A [`Form`] counted from the first pixel of a run.
+/// A [`LinearForm`] counted from the first pixel of a run.
 #[derive(Clone, Copy)]
-pub(super) struct Line {
+pub(super) struct PixelLine {
     start: f32,
     slope: f32,
 }
 
 /// Columns from `low` to `high`, inclusive; empty if `low > high`.
 #[derive(Clone, Copy)]
-pub(super) struct Span {
+pub(super) struct ColumnRange {
     low: f64,
     high: f64,
 }
@@ -105,14 +105,14 @@ pub(super) struct Bounds {
 /// Range of directions relative to the optical axis: x/z or y/z.
 type Extent = [f64; 2];
 
-impl Form {
+impl LinearForm {
     /// The same form counted from column `u`.
-    pub(super) fn line(self, u: usize) -> Line {
-        Line { start: (self.slope * u as f64 + self.at_zero) as f32, slope: self.slope as f32 }
+    pub(super) fn line(self, u: usize) -> PixelLine {
+        PixelLine { start: (self.slope * u as f64 + self.at_zero) as f32, slope: self.slope as f32 }
     }
 }
 
-impl Line {
+impl PixelLine {
     /// The values `k` pixels after the start.
     #[inline(always)]
     pub(super) fn at(self, k: Lanes) -> Lanes {
@@ -122,9 +122,9 @@ impl Line {
 
 impl ScanLine {
     /// The dot product of `n` (camera frame) with the row's rays.
-    pub(super) fn form(&self, n: &Vector3<f64>) -> Form {
+    pub(super) fn form(&self, n: &Vector3<f64>) -> LinearForm {
         let slope = n.x * self.inverse_focal;
-        Form { slope, at_zero: n.y * self.y + n.z - slope * self.center_u }
+        LinearForm { slope, at_zero: n.y * self.y + n.z - slope * self.center_u }
     }
 
     /// The column of the direction `x`, relative to the optical axis.
@@ -133,19 +133,19 @@ impl ScanLine {
     }
 
     /// The x component of the rays.
-    pub(super) fn x(&self) -> Form {
+    pub(super) fn x(&self) -> LinearForm {
         self.form(&Vector3::x())
     }
 }
 
-impl Span {
+impl ColumnRange {
     /// Columns between two values.
     pub(super) fn new(low: f64, high: f64) -> Self {
         Self { low, high }
     }
 
     /// The part in which `form >= 0`.
-    pub(super) fn keep(self, form: Form) -> Self {
+    pub(super) fn keep(self, form: LinearForm) -> Self {
         let root = -form.at_zero / form.slope;
         if form.slope > 0.0 {
             Self { low: self.low.max(root), ..self }
@@ -194,8 +194,8 @@ impl Bounds {
     }
 
     /// Its columns.
-    pub(super) fn columns(self) -> Span {
-        Span::new(self.u[0] as f64, self.u[1] as f64)
+    pub(super) fn columns(self) -> ColumnRange {
+        ColumnRange::new(self.u[0] as f64, self.u[1] as f64)
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Vector3};
 
 use super::faces::Face;
-use super::raster::{Bounds, Canvas, Lanes, ScanLine, Span};
+use super::raster::{Bounds, Canvas, ColumnRange, Lanes, ScanLine};
 use super::scene::VisibleForm;
 use super::shading::{Light, Shades, brightness};
 
@@ -65,7 +65,7 @@ fn ball_row(canvas: &mut Canvas, row: ScanLine, bounds: Bounds, ball: &Ball<'_>)
             return;
         }
         let half = (constant / -a).sqrt();
-        span = span.and(Span::new(row.column(origin - half), row.column(origin + half)));
+        span = span.and(ColumnRange::new(row.column(origin - half), row.column(origin + half)));
     }
     let Some(run) = span.pixels() else { return };
     let x = row.x().line(run.0);

@@ -16,7 +16,7 @@ const GRAIN_SCALE: [f32; 2] = [90.0, 500.0];
 const BUMP_STEPS: usize = 4;
 
 /// A tabletop in the camera frame, ready to draw.
-pub(super) struct Tabletop<'a> {
+pub(super) struct DrawnTabletop<'a> {
     /// Its pose.
     pub(super) camera_from_shape: Isometry3<f64>,
     /// Half its edges, m.
@@ -30,7 +30,7 @@ pub(super) struct Tabletop<'a> {
 }
 
 /// The colours of the upper face.
-struct Surface<'a> {
+struct FaceColors<'a> {
     half: [f32; 2],
     shades: &'a Shades,
     dirt: Option<Dirt<'a>>,
@@ -46,7 +46,7 @@ struct Dirt<'a> {
 }
 
 /// Draws a tabletop.
-pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, shades: &Shades) {
+pub(super) fn tabletop(canvas: &mut Canvas, table: &DrawnTabletop<'_>, light: Light, shades: &Shades) {
     let (frame, half) = (&table.camera_from_shape, &table.half);
     for side in SIDES.into_iter().filter(|side| *side != (2, 1.0)) {
         if let Some(face) = Face::of_box(frame, half, side, 1.0) {
@@ -55,7 +55,7 @@ pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, 
         }
     }
     let Some(face) = Face::of_box(frame, half, (2, 1.0), 1.0) else { return };
-    let surface = Surface::new(table, shades);
+    let surface = FaceColors::new(table, shades);
     let local = Local::new(frame);
     let lit = face.brightness(light);
     for bump in table.bumps.iter().filter(|bump| bump.is_drawable()) {
@@ -67,8 +67,8 @@ pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, 
     });
 }
 
-impl<'a> Surface<'a> {
-    fn new(table: &Tabletop<'a>, shades: &'a Shades) -> Self {
+impl<'a> FaceColors<'a> {
+    fn new(table: &DrawnTabletop<'a>, shades: &'a Shades) -> Self {
         let half = [table.half.x as f32, table.half.y as f32];
         let dirt = table.dirt.filter(|dirt| dirt.columns > 0 && dirt.rows > 0);
         let dirt = dirt.map(|texture| Dirt::new(texture, half));
@@ -142,7 +142,13 @@ impl Bump {
 }
 
 /// Draws the area around one bump, with its height.
-fn bump_patch(canvas: &mut Canvas, table: &Tabletop<'_>, bump: &Bump, surface: &Surface<'_>, light: Light) {
+fn bump_patch(
+    canvas: &mut Canvas,
+    table: &DrawnTabletop<'_>,
+    bump: &Bump,
+    surface: &FaceColors<'_>,
+    light: Light,
+) {
     let top = table.half.z;
     let corner = |x: f64, y: f64, z: f64| {
         let (x, y) = (bump.at[0] + x * bump.radius, bump.at[1] + y * bump.radius);
@@ -181,7 +187,7 @@ struct Relief {
 }
 
 impl Relief {
-    fn new(table: &Tabletop<'_>, light: Light) -> Self {
+    fn new(table: &DrawnTabletop<'_>, light: Light) -> Self {
         let light = table.camera_from_shape.rotation.inverse() * light.toward;
         Self {
             bumps: table.bumps.iter().filter(|bump| bump.is_drawable()).map(FlatBump::new).collect(),

@@ -99,7 +99,7 @@ impl RunningMotions {
         }
         let stop = CancellationToken::new();
         let (memory, id, written) = (Arc::clone(memory), id.clone(), motion.clone());
-        let recorder = Recorder { memory, id, shared: Arc::downgrade(&shared), written, version };
+        let recorder = MotionRecorder { memory, id, shared: Arc::downgrade(&shared), written, version };
         let task = tokio::spawn(recorder.follow(updates, edited, stop.clone()));
         Ok(MotionOwner { shared, motion, dmp, recorder: Some(task), stop })
     }
@@ -120,7 +120,7 @@ pub(crate) struct MotionOwner {
     shared: Arc<SharedMotion>,
     motion: Motion,
     dmp: PeriodicDmp,
-    recorder: Option<JoinHandle<Recorder>>,
+    recorder: Option<JoinHandle<MotionRecorder>>,
     stop: CancellationToken,
 }
 
@@ -254,7 +254,7 @@ impl MotionEditor {
 }
 
 /// Writes versions of a running motion to memory, and applies those of other writers.
-struct Recorder {
+struct MotionRecorder {
     memory: Arc<dyn Memory>,
     id: EntityId,
     shared: Weak<SharedMotion>,
@@ -263,7 +263,7 @@ struct Recorder {
     version: u64,
 }
 
-impl Recorder {
+impl MotionRecorder {
     /// Processes memory updates and edits until it is stopped. It locks the motion only while it reads or writes
     /// it.
     async fn follow(mut self, mut updates: Changes, edited: Arc<Notify>, stop: CancellationToken) -> Self {

@@ -16,7 +16,7 @@ use crate::grasp::{hand, held_in_tcp};
 use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
 use crate::own_hand::own_hand;
-use crate::surface::Surface;
+use crate::surface::ContactPlane;
 
 /// The outcome when something is touched.
 const TOUCHED: &str = "touched";
@@ -82,7 +82,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 async fn eyes(equipment: &Equipment, arm: &LeasedArm, tcp: &Isometry3<f64>) -> Result<Sight, Failure> {
     let hand = hand(equipment.robot.model(), &arm.limb)?;
     let grasped: Point3<f64> = tcp * held_in_tcp(hand);
-    let table = Surface::known_under(equipment.remembered(), &grasped).await?.ok_or_else(|| {
+    let table = ContactPlane::known_under(equipment.remembered(), &grasped).await?.ok_or_else(|| {
         Failure::new("memory knows no table under the hand; LocateObject or ModelEnvironment finds it where the cameras give depth")
     })?;
     let table = TouchedTable { at: table.at(grasped.x, grasped.y), normal: table.normal() };

@@ -5,7 +5,7 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::{Senses, moves_the_hand};
 use crate::equipment::{self, Equipment};
-use crate::hand::Hand;
+use crate::hand::LeasedHand;
 
 /// The pads count as stopped below this speed, m/s.
 const STOPPED: f64 = 0.002;
@@ -31,7 +31,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let speed = context.number("speed")?;
     let (empty_below, timeout) = (context.number("empty_below")?, context.number("timeout")?);
-    let hand = Hand::take(&equipment, &context).await?;
+    let hand = LeasedHand::take(&equipment, &context).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut elapsed, mut stopped_for) = (0.0, 0.0);
     loop {

@@ -14,7 +14,7 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::{pose_value, reference, seen_at, seen_pose};
 use crate::motions::failed;
 use crate::prior::object_class;
-use crate::surface::Surface;
+use crate::surface::ContactPlane;
 
 /// Number of good detections that are averaged.
 const DETECTIONS: usize = 5;
@@ -68,11 +68,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     // What the model of the environment knows of the table is surer than one look at it.
     let first = sights.first().and_then(seen_at);
     let modelled = match first {
-        Some(first) => Surface::modelled_under(equipment.remembered(), &first).await?,
+        Some(first) => ContactPlane::modelled_under(equipment.remembered(), &first).await?,
         None => None,
     };
     let table = table.filter(|_| modelled.is_none());
-    let surface = modelled.or_else(|| table.as_ref().and_then(seen_pose).map(Surface::of));
+    let surface = modelled.or_else(|| table.as_ref().and_then(seen_pose).map(ContactPlane::of));
     let tilt = surface.map(|surface| surface.rotation());
     let seen = median(sights, &tilt.unwrap_or_else(UnitQuaternion::identity));
     let seen: Vec<Observation> = table.into_iter().chain(seen).collect();

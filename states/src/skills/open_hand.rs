@@ -5,7 +5,7 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::{Senses, moves_the_hand};
 use crate::equipment::{self, Equipment};
-use crate::hand::Hand;
+use crate::hand::LeasedHand;
 use crate::held::let_go;
 use crate::motions::failed;
 
@@ -20,7 +20,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let aperture = context.number("aperture")?;
     let timeout = context.number("timeout")?;
-    let hand = Hand::take(&equipment, &context).await?;
+    let hand = LeasedHand::take(&equipment, &context).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut elapsed = 0.0;
     loop {

@@ -14,7 +14,7 @@ use crate::arm::{chosen, free_joints, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, pose_value};
-use crate::surface::Surface;
+use crate::surface::ContactPlane;
 
 /// Possible rotations of the hand against the object's sides, rad; the closing pads align the object. Each radian
 /// costs [`MISALIGNMENT_COST`].
@@ -45,7 +45,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (class, object) = equipment.remembered().thing(&id).await?;
     let [length, width, _] = class.size;
     let center = Point3::from(object.translation.vector);
-    let surface = Surface::under(equipment.remembered(), &center).await?;
+    let surface = ContactPlane::under(equipment.remembered(), &center).await?;
     let yaw = (surface.rotation().inverse() * object.rotation).euler_angles().2;
     let model = equipment.robot.model();
     let arm = chosen(&equipment, &context)?;

@@ -46,7 +46,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let periods = f64::from(i32::try_from(periods).unwrap_or(i32::MAX));
     let newest = equipment.memory.latest(&context.entity("motion")?).await.map_err(failed)?;
     let kept = motions::kept_in(&newest)?;
-    let mut play = Play::new(&kept, periods)?;
+    let mut play = MotionPlay::new(&kept, periods)?;
     let begin = play.pose();
     let mut arm = LeasedArm::take(&equipment, &context, &[begin]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
@@ -80,7 +80,7 @@ fn check_track(behind: f64) -> Result<(), Failure> {
 }
 
 /// A motion that is being played.
-enum Play {
+enum MotionPlay {
     ToAGoal(Box<MovementPlay>),
     Periodic(Box<Rhythm>),
 }
@@ -96,7 +96,7 @@ struct Rhythm {
     pace: f64,
 }
 
-impl Play {
+impl MotionPlay {
     fn new(kept: &StoredMotion, periods: f64) -> Result<Self, Failure> {
         match kept {
             StoredMotion::Movement(movement) => Ok(Self::ToAGoal(Box::new(movement.play()))),

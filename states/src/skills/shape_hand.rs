@@ -6,7 +6,7 @@ use armarium_values::Type;
 use crate::arm::{Senses, chosen, moves_the_hand};
 use crate::equipment::{self, Equipment};
 use crate::grasp::hand;
-use crate::hand::Hand;
+use crate::hand::LeasedHand;
 
 /// How near each joint comes to its place in the shape, rad (m).
 const REACHED: f64 = 0.002;
@@ -28,7 +28,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let known = shapes.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
         Failure::new(format!("the hand has no shape `{name}`; it has {known}"))
     })?;
-    let hand = Hand::take(&equipment, &context).await?;
+    let hand = LeasedHand::take(&equipment, &context).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut elapsed = 0.0;
     loop {

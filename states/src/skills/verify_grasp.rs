@@ -13,7 +13,7 @@ use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
-use crate::surface::Surface;
+use crate::surface::ContactPlane;
 
 const GRAVITY: f64 = 9.81;
 /// The class under which the processor observes what is in the hand.
@@ -64,7 +64,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tcp_at_grasp = context.pose("tcp_at_grasp")?;
     let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
-    let surface = Surface::under(equipment.remembered(), &stood).await?;
+    let surface = ContactPlane::under(equipment.remembered(), &stood).await?;
     let nearest = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
     judge(nearest, object.entity(), class.mass.is_some())?;
 
@@ -112,7 +112,7 @@ async fn look(
     arm: &mut LeasedArm,
     senses: &mut Senses,
     color: [u8; 3],
-    (held_in_tcp, surface, stood): (&Point3<f64>, &Surface, &Point3<f64>),
+    (held_in_tcp, surface, stood): (&Point3<f64>, &ContactPlane, &Point3<f64>),
 ) -> Result<f64, Failure> {
     let (hand, held) = (equipment.clone(), *held_in_tcp);
     let tcp = tcp_of(&arm.limb)?;

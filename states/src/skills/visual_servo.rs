@@ -16,7 +16,7 @@ use crate::grasp::{hand, held_in_tcp, marker};
 use crate::inputs::{Inputs, pose_value, seen_at};
 use crate::motions::failed;
 use crate::skills::move_tcp::tolerances;
-use crate::surface::Surface;
+use crate::surface::ContactPlane;
 
 /// An object of which a smaller share than this is visible (the hand covers it) does not move the target.
 const WELL_VISIBLE: f64 = 0.8;
@@ -129,7 +129,7 @@ struct Detections {
 impl Detections {
     async fn new(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
         let (class, pose) = equipment.remembered().thing(&context.entity("object")?).await?;
-        let surface = Surface::under(equipment.remembered(), &pose.translation.vector.into()).await?;
+        let surface = ContactPlane::under(equipment.remembered(), &pose.translation.vector.into()).await?;
         let marker = marker(equipment.robot.model(), arm)?;
         let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
         let localizer = localizer.standing_on(surface.rotation());

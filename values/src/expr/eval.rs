@@ -208,9 +208,9 @@ impl<'v> Val<'v> {
 }
 
 /// Comprehension variables, innermost first.
-struct Frame<'v> {
+struct BoundVariables<'v> {
     value: &'v Value,
-    outer: Option<&'v Frame<'v>>,
+    outer: Option<&'v BoundVariables<'v>>,
 }
 
 struct Evaluation<'v, C: ?Sized> {
@@ -254,14 +254,14 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
         Ok(value.into_value())
     }
 
-    fn truth(&self, node: &ExprNode, frame: Option<&Frame<'_>>, pos: Pos) -> Result<bool> {
+    fn truth(&self, node: &ExprNode, frame: Option<&BoundVariables<'_>>, pos: Pos) -> Result<bool> {
         match self.value(node, frame)? {
             Val::Bool(b) => Ok(b),
             other => Err(pos.error(format!("expected a bool, found {}", other.describe()))),
         }
     }
 
-    fn value<'v>(&'v self, node: &'v ExprNode, frame: Option<&'v Frame<'v>>) -> Result<Val<'v>> {
+    fn value<'v>(&'v self, node: &'v ExprNode, frame: Option<&'v BoundVariables<'v>>) -> Result<Val<'v>> {
         match node {
             ExprNode::Null => Ok(Val::Null),
             ExprNode::Bool(b) => Ok(Val::Bool(*b)),
@@ -339,7 +339,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
     fn record<'v>(
         &'v self,
         entries: &'v [(ExprNode, ExprNode)],
-        frame: Option<&'v Frame<'v>>,
+        frame: Option<&'v BoundVariables<'v>>,
         pos: Pos,
     ) -> Result<Val<'v>> {
         let mut fields = BTreeMap::new();
@@ -361,7 +361,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
         kind: Macro,
         range: &'v ExprNode,
         body: &'v ExprNode,
-        frame: Option<&'v Frame<'v>>,
+        frame: Option<&'v BoundVariables<'v>>,
         pos: Pos,
     ) -> Result<Val<'v>> {
         let range = self.value(range, frame)?;
@@ -380,7 +380,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
             if self.items.get() > MAX_ITEMS {
                 return Err(pos.error(format!("more than {MAX_ITEMS} items were visited")));
             }
-            let inner = Frame { value: item, outer: frame };
+            let inner = BoundVariables { value: item, outer: frame };
             if kind == Macro::Map {
                 kept.push(self.part(self.value(body, Some(&inner))?, pos)?);
                 continue;
@@ -403,7 +403,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
     }
 }
 
-fn bound<'v>(mut frame: Option<&'v Frame<'v>>, depth: usize) -> Val<'v> {
+fn bound<'v>(mut frame: Option<&'v BoundVariables<'v>>, depth: usize) -> Val<'v> {
     for _ in 0..depth {
         frame = frame.and_then(|f| f.outer);
     }

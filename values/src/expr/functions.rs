@@ -137,7 +137,7 @@ pub(super) enum Takes {
 
 /// Why a function refuses its arguments.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum CallError {
+pub(super) enum ArgumentError {
     #[error("expected {expected}, found {found}")]
     Type { expected: &'static str, found: String },
     #[error("{found} {wrong}")]
@@ -152,7 +152,7 @@ pub(super) enum CallError {
     Empty,
 }
 
-impl CallError {
+impl ArgumentError {
     fn expected(expected: &'static str, found: &Val<'_>) -> Self {
         Self::Type { expected, found: found.describe().to_string() }
     }
@@ -195,20 +195,20 @@ impl Function {
     }
 
     /// The result, or an error message about the arguments.
-    pub(super) fn call<'v>(self, a: &[Val<'v>]) -> Result<Val<'v>, CallError> {
-        let number = |i: usize| a[i].number().ok_or_else(|| CallError::expected("a number", &a[i]));
-        let text = |i: usize| a[i].text().ok_or_else(|| CallError::expected("a string", &a[i]));
+    pub(super) fn call<'v>(self, a: &[Val<'v>]) -> Result<Val<'v>, ArgumentError> {
+        let number = |i: usize| a[i].number().ok_or_else(|| ArgumentError::expected("a number", &a[i]));
+        let text = |i: usize| a[i].text().ok_or_else(|| ArgumentError::expected("a string", &a[i]));
         Ok(match self {
             F::Norm => Val::Float(vector(&a[0])?.iter().map(|x| x * x).sum::<f64>().sqrt()),
             F::Dot => {
                 let (x, y) = (vector(&a[0])?, vector(&a[1])?);
                 if x.len() != y.len() {
-                    return Err(CallError::Lengths(x.len(), y.len()));
+                    return Err(ArgumentError::Lengths(x.len(), y.len()));
                 }
                 Val::Float(x.iter().zip(&y).map(|(x, y)| x * y).sum())
             }
             F::Abs => match &a[0] {
-                Val::Int(i) => Val::Int(i.checked_abs().ok_or(CallError::Range)?),
+                Val::Int(i) => Val::Int(i.checked_abs().ok_or(ArgumentError::Range)?),
                 _ => Val::Float(number(0)?.abs()),
             },
             F::Min => extreme(a, |x, best| x < best)?,
@@ -236,7 +236,7 @@ impl Function {
                 (Val::Bool(b), _) => Val::Bool(*b),
                 (_, Some("true")) => Val::Bool(true),
                 (_, Some("false")) => Val::Bool(false),
-                _ => return Err(CallError::value(&a[0], "is neither true nor false")),
+                _ => return Err(ArgumentError::value(&a[0], "is neither true nor false")),
             },
             F::Contains => Val::Bool(text(0)?.contains(text(1)?)),
             F::StartsWith => Val::Bool(text(0)?.starts_with(text(1)?)),
@@ -261,9 +261,9 @@ fn same_number(arguments: &[Type]) -> Type {
     result
 }
 
-fn clamp<'v>(a: &[Val<'v>], x: f64, low: f64, high: f64) -> Result<Val<'v>, CallError> {
+fn clamp<'v>(a: &[Val<'v>], x: f64, low: f64, high: f64) -> Result<Val<'v>, ArgumentError> {
     if low > high || low.is_nan() || high.is_nan() {
-        return Err(CallError::Bounds(low, high));
+        return Err(ArgumentError::Bounds(low, high));
     }
     if let (Val::Int(x), Val::Int(low), Val::Int(high)) = (&a[0], &a[1], &a[2]) {
         return Ok(Val::Int(*x.clamp(low, high)));
@@ -275,8 +275,8 @@ fn reference<'v>(kind: &str, id: &str) -> Val<'v> {
     Val::Owned(Box::new(Value::Reference(crate::Reference { kind: kind.into(), id: id.into() })))
 }
 
-fn vector(value: &Val<'_>) -> Result<Vec<f64>, CallError> {
-    let wrong = || CallError::expected("a vector or a list of numbers", value);
+fn vector(value: &Val<'_>) -> Result<Vec<f64>, ArgumentError> {
+    let wrong = || ArgumentError::expected("a vector or a list of numbers", value);
     match value.as_value() {
         Some(Value::Vector(v)) => Ok(v.components.to_vec()),
         Some(Value::List(items)) => items.iter().map(Value::as_f64).collect::<Option<_>>().ok_or_else(wrong),
@@ -284,7 +284,7 @@ fn vector(value: &Val<'_>) -> Result<Vec<f64>, CallError> {
     }
 }
 
-fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'v>, CallError> {
+fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'v>, ArgumentError> {
     let listed: Vec<Val<'_>>;
     let items: &[Val<'_>] = match (a, a[0].as_value()) {
         ([_], Some(Value::List(items))) => {
@@ -295,7 +295,7 @@ fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'
     };
     let mut best: Option<(f64, &Val<'_>)> = None;
     for item in items {
-        let x = item.number().ok_or_else(|| CallError::expected("a number", item))?;
+        let x = item.number().ok_or_else(|| ArgumentError::expected("a number", item))?;
         if x.is_nan() {
             return Ok(Val::Float(f64::NAN));
         }
@@ -306,22 +306,22 @@ fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'
     match best {
         Some((_, Val::Int(i))) => Ok(Val::Int(*i)),
         Some((x, _)) => Ok(Val::Float(x)),
-        None => Err(CallError::Empty),
+        None => Err(ArgumentError::Empty),
     }
 }
 
-fn size(value: &Val<'_>) -> Result<usize, CallError> {
+fn size(value: &Val<'_>) -> Result<usize, ArgumentError> {
     match (value.text(), value.as_value()) {
         (Some(s), _) => Ok(s.chars().count()),
         (_, Some(Value::List(items))) => Ok(items.len()),
         (_, Some(Value::Map(fields))) => Ok(fields.len()),
         (_, Some(Value::Bytes(bytes))) => Ok(bytes.len()),
-        _ => Err(CallError::value(value, "has no size")),
+        _ => Err(ArgumentError::value(value, "has no size")),
     }
 }
 
-fn to_int(value: &Val<'_>) -> Result<i64, CallError> {
-    let wrong = || CallError::value(value, "is not a whole number in range");
+fn to_int(value: &Val<'_>) -> Result<i64, ArgumentError> {
+    let wrong = || ArgumentError::value(value, "is not a whole number in range");
     match (value, value.text()) {
         (Val::Int(i), _) => Ok(*i),
         (Val::Bool(b), _) => Ok(i64::from(*b)),
@@ -333,8 +333,8 @@ fn to_int(value: &Val<'_>) -> Result<i64, CallError> {
     }
 }
 
-fn to_float(value: &Val<'_>) -> Result<f64, CallError> {
-    let wrong = || CallError::value(value, "is not a number");
+fn to_float(value: &Val<'_>) -> Result<f64, ArgumentError> {
+    let wrong = || ArgumentError::value(value, "is not a number");
     match value.text() {
         Some(s) => s.trim().parse().map_err(|_| wrong()),
         None => value.number().ok_or_else(wrong),

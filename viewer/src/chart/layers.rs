@@ -42,7 +42,7 @@ impl Route {
 
 /// A layout: the upper left corners of the boxes, the arrows, and the total size.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Drawing {
+pub(super) struct GraphLayout {
     pub(super) corners: Vec<Point>,
     pub(super) routes: Vec<Route>,
     pub(super) size: Size,
@@ -101,7 +101,7 @@ struct Layers {
 
 /// Lays out boxes and links between different boxes. No rank of boxes is wider than `breadth` px (across the direction),
 /// unless one box is.
-pub(super) fn draw(boxes: &[Size], links: &[Link], direction: Direction, breadth: f64) -> Drawing {
+pub(super) fn draw(boxes: &[Size], links: &[Link], direction: Direction, breadth: f64) -> GraphLayout {
     match direction {
         Direction::Down => draw_down(boxes, links, breadth),
         Direction::Right => {
@@ -113,23 +113,23 @@ pub(super) fn draw(boxes: &[Size], links: &[Link], direction: Direction, breadth
 }
 
 /// The drawing with its axes exchanged.
-fn turned(drawing: Drawing) -> Drawing {
+fn turned(drawing: GraphLayout) -> GraphLayout {
     let turn = |(x, y): Point| (y, x);
     let route = |route: Route| Route {
         line: route.line.into_iter().map(|step| step.map(turn)).collect(),
         head: (turn(route.head.0), turn(route.head.1)),
         label: turn(route.label),
     };
-    Drawing {
+    GraphLayout {
         corners: drawing.corners.into_iter().map(turn).collect(),
         routes: drawing.routes.into_iter().map(route).collect(),
         size: drawing.size.turned(),
     }
 }
 
-fn draw_down(boxes: &[Size], links: &[Link], breadth: f64) -> Drawing {
+fn draw_down(boxes: &[Size], links: &[Link], breadth: f64) -> GraphLayout {
     if boxes.is_empty() {
-        return Drawing::default();
+        return GraphLayout::default();
     }
     let mut layers = Layers::of(boxes, links, breadth);
     layers.order();
@@ -333,7 +333,7 @@ impl Layers {
         RISE + (rank.iter().map(aside).fold(0.0, f64::max) / 12.0).min(50.0)
     }
 
-    fn finish(self) -> Drawing {
+    fn finish(self) -> GraphLayout {
         let (mut tops, mut heights, mut y) = (Vec::new(), Vec::new(), 0.0);
         for (number, rank) in self.ranks.iter().enumerate() {
             let height = rank.iter().map(|i| self.items[*i].size.height).fold(0.0, f64::max);
@@ -353,7 +353,7 @@ impl Layers {
         let right = self.items.iter().map(|i| i.x + i.size.width / 2.0).fold(0.0, f64::max);
         let last = self.ranks.last().map_or(0.0, |rank| self.rise(rank));
         let size = Size { width: right, height: (y - last).max(0.0) };
-        Drawing { corners: (0..self.boxes).map(corner).collect(), routes, size }
+        GraphLayout { corners: (0..self.boxes).map(corner).collect(), routes, size }
     }
 
     /// The line of a chain: vertical within the ranks, curved between them.

@@ -78,8 +78,8 @@ pub enum DrawError {
 /// [`DrawError`], for PNG.
 pub fn render(outline: &Outline, format: Format, theme: Theme) -> Result<Vec<u8>, DrawError> {
     Ok(match format {
-        Format::Svg => svg::svg(&scene::Scene::of(outline), theme).into_bytes(),
-        Format::Png => png::png(&scene::Scene::of(outline), theme)?,
+        Format::Svg => svg::svg(&scene::ChartPicture::of(outline), theme).into_bytes(),
+        Format::Png => png::png(&scene::ChartPicture::of(outline), theme)?,
         Format::Dot => dot::dot(outline).into_bytes(),
         Format::Mermaid => source::mermaid(outline).into_bytes(),
         Format::PlantUml => source::plantuml(outline).into_bytes(),
@@ -92,7 +92,7 @@ pub fn render(outline: &Outline, format: Format, theme: Theme) -> Result<Vec<u8>
 #[must_use]
 pub fn levels_that_fit(outline: &Outline) -> Option<usize> {
     let fits = |outline: &Outline| {
-        let size = scene::Scene::of(outline).size;
+        let size = scene::ChartPicture::of(outline).size;
         size.width <= SCREEN.0 && size.height <= 2.0 * SCREEN.1
     };
     if fits(outline) {

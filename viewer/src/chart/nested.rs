@@ -6,7 +6,7 @@ use armarium_runtime::chart::{Outline, OutlineKind};
 use super::font::{LINE, Weight, width};
 use super::geometry::{Point, Rect, Size};
 use super::graph::{Exit, Graph, outward};
-use super::layers::{Direction, Drawing, Link, Route, draw};
+use super::layers::{Direction, GraphLayout, Link, Route, draw};
 
 /// Space between a box and its content, px.
 pub(super) const PAD: f64 = 12.0;
@@ -198,7 +198,7 @@ fn columns(
     boxes: &[Size],
     links: &[Link],
     breadth: f64,
-) -> Vec<(Vec<usize>, Vec<usize>, Drawing)> {
+) -> Vec<(Vec<usize>, Vec<usize>, GraphLayout)> {
     let count = column.iter().max().map_or(0, |last| last + 1);
     let mut columns = vec![(Vec::new(), Vec::new()); count];
     let mut place = vec![0; boxes.len()];

@@ -8,7 +8,7 @@ use ttf_parser::OutlineBuilder;
 
 use super::font::{SIZE, Weight, advance, face};
 use super::geometry::{LineStep, Point, Rect};
-use super::scene::{Ink, PALETTE, Scene, Shape};
+use super::scene::{ChartPicture, DrawnShape, Ink, PALETTE};
 use super::{DrawError, Theme};
 
 /// Pixels of the image for one of the picture: fine enough for screens of high resolution.
@@ -21,7 +21,7 @@ const MIN_SCALE: f32 = 0.9;
 const QUARTER: f64 = 0.5523;
 
 /// Writes a picture as PNG; [`Theme::Auto`] is light. Refused when the texts of an image of 64 million pixels would be too small.
-pub(super) fn png(scene: &Scene, theme: Theme) -> Result<Vec<u8>, DrawError> {
+pub(super) fn png(scene: &ChartPicture, theme: Theme) -> Result<Vec<u8>, DrawError> {
     let (width, height) = (scene.size.width.ceil() as f32, scene.size.height.ceil() as f32);
     let too_large = DrawError::TooLarge { width: width.into(), height: height.into() };
     let scale = SCALE.min((MAX_PIXELS / (width * height)).sqrt());
@@ -76,21 +76,21 @@ impl Canvas {
         }
     }
 
-    fn draw(&mut self, shape: &Shape) {
+    fn draw(&mut self, shape: &DrawnShape) {
         match shape {
-            Shape::Frame { at, radius, fill, dashed, .. } => {
+            DrawnShape::Frame { at, radius, fill, dashed, .. } => {
                 let path = path(&round(at, *radius));
                 self.fill(path.clone(), *fill);
                 self.stroke(path, 1.2, *dashed);
             }
-            Shape::Line(steps) => self.stroke(path(steps), 1.4, false),
-            Shape::Head([a, b, c]) => {
+            DrawnShape::Line(steps) => self.stroke(path(steps), 1.4, false),
+            DrawnShape::Head([a, b, c]) => {
                 self.fill(path(&[LineStep::Move(*a), LineStep::Line(*b), LineStep::Line(*c)]), Ink::Line);
             }
-            Shape::Dot((x, y), radius) => {
+            DrawnShape::Dot((x, y), radius) => {
                 self.fill(PathBuilder::from_circle(*x as f32, *y as f32, *radius as f32), Ink::Line);
             }
-            Shape::Text { at, text, ink, weight } => self.fill(glyphs(*at, text, *weight), *ink),
+            DrawnShape::Text { at, text, ink, weight } => self.fill(glyphs(*at, text, *weight), *ink),
         }
     }
 }

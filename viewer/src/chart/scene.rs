@@ -47,7 +47,7 @@ pub(super) const PALETTE: [(&str, u32, u32); 10] = [
 
 /// A shape; later shapes lie above earlier ones.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Shape {
+pub(super) enum DrawnShape {
     /// A rectangle with round corners and a border.
     Frame {
         at: Rect,
@@ -68,13 +68,13 @@ pub(super) enum Shape {
 }
 
 /// A picture.
-pub(super) struct Scene {
+pub(super) struct ChartPicture {
     pub(super) title: String,
     pub(super) size: Size,
-    pub(super) shapes: Vec<Shape>,
+    pub(super) shapes: Vec<DrawnShape>,
 }
 
-impl Scene {
+impl ChartPicture {
     /// The picture of a chart.
     pub(super) fn of(outline: &Outline) -> Self {
         let mut whole = lay_out(outline, &Graph::of(outline), 0, BREADTH);
@@ -101,26 +101,26 @@ impl Scene {
         let history = matches!(of.kind, OutlineKind::History { .. });
         let radius = if history { at.size.height / 2.0 } else { 8.0 };
         let state = Some(outline.path(placed.state)).filter(|path| !path.is_empty());
-        self.shapes.push(Shape::Frame { at, radius, fill, dashed: region, state });
+        self.shapes.push(DrawnShape::Frame { at, radius, fill, dashed: region, state });
         if matches!(of.kind, OutlineKind::Final(_)) {
             let inner = Rect {
                 x: at.x + 3.0,
                 y: at.y + 3.0,
                 size: Size { width: at.size.width - 6.0, height: at.size.height - 6.0 },
             };
-            self.shapes.push(Shape::Frame { at: inner, radius: 6.0, fill, dashed: false, state: None });
+            self.shapes.push(DrawnShape::Frame { at: inner, radius: 6.0, fill, dashed: false, state: None });
         }
         self.texts(outline, placed, history);
         if let Some((x, y)) = placed.dot {
-            self.shapes.push(Shape::Dot((x + DOT / 2.0, y + DOT / 2.0), DOT / 2.0));
+            self.shapes.push(DrawnShape::Dot((x + DOT / 2.0, y + DOT / 2.0), DOT / 2.0));
         }
         placed.inside.iter().for_each(|inner| self.state(outline, inner, depth + 1));
         for (label, route) in &placed.arrows {
-            self.shapes.push(Shape::Line(route.line.clone()));
+            self.shapes.push(DrawnShape::Line(route.line.clone()));
             let (base, tip) = route.head;
             let aside = ((tip.1 - base.1) * HEAD_SLOPE, (tip.0 - base.0) * HEAD_SLOPE);
             let corners = [(base.0 - aside.0, base.1 - aside.1), tip, (base.0 + aside.0, base.1 + aside.1)];
-            self.shapes.push(Shape::Head(corners));
+            self.shapes.push(DrawnShape::Head(corners));
             let top = route.label.1 - label_size(label).height / 2.0;
             for (number, line) in label.iter().enumerate() {
                 let x = route.label.0 - width(line, Weight::Regular) / 2.0;
@@ -156,7 +156,7 @@ impl Scene {
             let width = width(&target, Weight::Regular) + 2.0 * PILL_PAD;
             let at = Rect { x: left, y, size: Size { width, height: PILL } };
             let fill = of_leaf(&outline.states[exit.target].kind);
-            self.shapes.push(Shape::Frame { at, radius: PILL / 2.0, fill, dashed: false, state: None });
+            self.shapes.push(DrawnShape::Frame { at, radius: PILL / 2.0, fill, dashed: false, state: None });
             self.text((left + PILL_PAD, y + 1.0), &target, Ink::Text, Weight::Regular);
             y += (exit.label.len() as f64 * LINE).max(PILL);
         }
@@ -165,7 +165,7 @@ impl Scene {
     /// Adds a line of text by the upper left corner of its line.
     fn text(&mut self, (x, top): Point, text: &str, ink: Ink, weight: Weight) {
         let at = (x, top + (LINE + SIZE) / 2.0 - 2.0);
-        self.shapes.push(Shape::Text { at, text: text.to_owned(), ink, weight });
+        self.shapes.push(DrawnShape::Text { at, text: text.to_owned(), ink, weight });
     }
 }
 

@@ -7,10 +7,10 @@ use crate::markup::escape;
 use super::Theme;
 use super::font::{SIZE, Weight, width};
 use super::geometry::LineStep;
-use super::scene::{Ink, PALETTE, Scene, Shape};
+use super::scene::{ChartPicture, DrawnShape, Ink, PALETTE};
 
 /// Writes a picture as a file of its own, with its style sheet.
-pub(super) fn svg(scene: &Scene, theme: Theme) -> String {
+pub(super) fn svg(scene: &ChartPicture, theme: Theme) -> String {
     let (width, height) = (scene.size.width.ceil(), scene.size.height.ceil());
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
@@ -51,10 +51,10 @@ fn name(ink: Ink) -> &'static str {
     PALETTE[ink as usize].0
 }
 
-fn shape(shape: &Shape, out: &mut String) {
+fn shape(shape: &DrawnShape, out: &mut String) {
     // Writing into a `String` cannot fail.
     let _ = match shape {
-        Shape::Frame { at, radius, fill, dashed, state } => writeln!(
+        DrawnShape::Frame { at, radius, fill, dashed, state } => writeln!(
             out,
             "<rect class=\"{} frame{}\"{} x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" rx=\"{radius:.1}\"/>",
             name(*fill),
@@ -65,7 +65,7 @@ fn shape(shape: &Shape, out: &mut String) {
             at.size.width,
             at.size.height
         ),
-        Shape::Line(steps) => {
+        DrawnShape::Line(steps) => {
             out.push_str("<path class=\"arrow\" d=\"");
             for step in steps {
                 let _ = match step {
@@ -78,16 +78,16 @@ fn shape(shape: &Shape, out: &mut String) {
             }
             writeln!(out, "\"/>")
         }
-        Shape::Head([a, b, c]) => writeln!(
+        DrawnShape::Head([a, b, c]) => writeln!(
             out,
             "<path class=\"line\" d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}z\"/>",
             a.0, a.1, b.0, b.1, c.0, c.1
         ),
-        Shape::Dot((x, y), radius) => {
+        DrawnShape::Dot((x, y), radius) => {
             writeln!(out, "<circle class=\"line\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\"/>")
         }
         // The length keeps texts apart where another font is wider.
-        Shape::Text { at: (x, y), text, ink, weight } => writeln!(
+        DrawnShape::Text { at: (x, y), text, ink, weight } => writeln!(
             out,
             "<text class=\"{}{}\" x=\"{x:.1}\" y=\"{y:.1}\" textLength=\"{:.1}\" \
              lengthAdjust=\"spacingAndGlyphs\">{}</text>",

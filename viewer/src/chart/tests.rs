@@ -7,7 +7,7 @@ use armarium_runtime::chart::{Outline, OutlineKind, load_text};
 
 use super::font::{SIZE, width};
 use super::geometry::{LineStep, Point, Rect, Size};
-use super::scene::{PALETTE, Scene, Shape};
+use super::scene::{ChartPicture, DrawnShape, PALETTE};
 use super::{DrawError, Format, Theme, Unfold, fold, levels, levels_that_fit, render, unfold};
 
 const CHART: &str = "statechart: Demo
@@ -192,18 +192,18 @@ fn samples(steps: &[LineStep]) -> Vec<Point> {
 }
 
 /// What touches in a picture that should not.
-fn touching(scene: &Scene) -> Vec<String> {
+fn touching(scene: &ChartPicture) -> Vec<String> {
     let (mut texts, mut frames, mut heads, mut lines) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for shape in &scene.shapes {
         match shape {
-            Shape::Text { at: (x, y), text, weight, .. } => {
+            DrawnShape::Text { at: (x, y), text, weight, .. } => {
                 let size = Size { width: width(text, *weight), height: SIZE };
                 texts.push((text.as_str(), Rect { x: *x, y: y - 0.78 * SIZE, size }));
             }
-            Shape::Frame { at, .. } => frames.push(*at),
-            Shape::Head(corners) => heads.push(bounds(corners)),
-            Shape::Line(steps) => lines.push(samples(steps)),
-            Shape::Dot((x, y), r) => {
+            DrawnShape::Frame { at, .. } => frames.push(*at),
+            DrawnShape::Head(corners) => heads.push(bounds(corners)),
+            DrawnShape::Line(steps) => lines.push(samples(steps)),
+            DrawnShape::Dot((x, y), r) => {
                 frames.push(Rect { x: x - r, y: y - r, size: Size { width: 2.0 * r, height: 2.0 * r } });
             }
         }
@@ -244,7 +244,7 @@ fn touching(scene: &Scene) -> Vec<String> {
 #[test]
 fn nothing_touches_what_it_should_not() {
     for (name, text) in all_charts() {
-        let scene = Scene::of(&outline(&text));
+        let scene = ChartPicture::of(&outline(&text));
         assert!(scene.shapes.len() > 10, "{name}");
         assert_eq!(touching(&scene), Vec::<String>::new(), "{name}");
     }
@@ -252,11 +252,11 @@ fn nothing_touches_what_it_should_not() {
 
 #[test]
 fn a_label_on_a_box_or_a_line_is_found() {
-    let mut scene = Scene::of(&outline(CHART));
-    let label = scene.shapes.iter().find(|s| matches!(s, Shape::Text { text, .. } if text == "success"));
-    let Some(Shape::Text { at, text, ink, weight }) = label.cloned() else { panic!("there is a label") };
-    scene.shapes.push(Shape::Text { at: (at.0 + 3.0, at.1 + 3.0), text: text.clone(), ink, weight });
-    scene.shapes.push(Shape::Line(vec![
+    let mut scene = ChartPicture::of(&outline(CHART));
+    let label = scene.shapes.iter().find(|s| matches!(s, DrawnShape::Text { text, .. } if text == "success"));
+    let Some(DrawnShape::Text { at, text, ink, weight }) = label.cloned() else { panic!("there is a label") };
+    scene.shapes.push(DrawnShape::Text { at: (at.0 + 3.0, at.1 + 3.0), text: text.clone(), ink, weight });
+    scene.shapes.push(DrawnShape::Line(vec![
         LineStep::Move((at.0, at.1 - 20.0)),
         LineStep::Line((at.0 + 20.0, at.1 + 20.0)),
     ]));
@@ -268,16 +268,16 @@ fn a_picture_fitted_to_a_screen_has_text_of_eleven_pixels() {
     for (name, text) in shipped().into_iter().chain([("sixty states".to_owned(), sixty_states())]) {
         let outline = outline(&text);
         assert!(name != "sixty states" || (60..=70).contains(&outline.states.len()));
-        let width = Scene::of(&outline).size.width;
+        let width = ChartPicture::of(&outline).size.width;
         assert!(SIZE * 1600.0 / width >= 11.0, "{name} is {width} px wide");
     }
 }
 
 /// The texts of a picture, one after the other.
 fn texts(outline: &Outline) -> String {
-    let scene = Scene::of(outline);
+    let scene = ChartPicture::of(outline);
     let texts = scene.shapes.iter().filter_map(|shape| match shape {
-        Shape::Text { text, .. } => Some(text.trim()),
+        DrawnShape::Text { text, .. } => Some(text.trim()),
         _ => None,
     });
     texts.collect::<Vec<_>>().join(" ")
@@ -312,18 +312,19 @@ fn states_that_go_to_a_common_end_name_it_and_have_no_arrow_to_it() {
         let states: String = (0..count).map(state).collect();
         outline(&format!("statechart: C\ninitial: S0\nstates:\n{states}  Failed: {{final: failure}}\n"))
     };
-    let heads =
-        |outline: &Outline| Scene::of(outline).shapes.iter().filter(|s| matches!(s, Shape::Head(_))).count();
+    let heads = |outline: &Outline| {
+        ChartPicture::of(outline).shapes.iter().filter(|s| matches!(s, DrawnShape::Head(_))).count()
+    };
     assert_eq!((heads(&chart(2)), texts(&chart(2)).matches("→ Failed").count()), (3, 0));
     assert_eq!((heads(&chart(3)), texts(&chart(3)).matches("failure, after 9s → Failed").count()), (1, 3));
 }
 
 #[test]
 fn arrows_to_a_common_target_share_a_head() {
-    let heads: BTreeSet<String> = Scene::of(&outline(&star(20)))
+    let heads: BTreeSet<String> = ChartPicture::of(&outline(&star(20)))
         .shapes
         .iter()
-        .filter(|shape| matches!(shape, Shape::Head(_)))
+        .filter(|shape| matches!(shape, DrawnShape::Head(_)))
         .map(|head| format!("{head:?}"))
         .collect();
     // One for each ray, one for the way back, one for the start.
@@ -363,7 +364,7 @@ fn a_chart_that_a_chart_uses_is_unfolded_in_its_place() {
             (&OutlineKind::Composite, "chart Inner")
         );
         assert_eq!((outer.transitions[1].source, &outer.transitions[1].targets[..]), (3, &[4][..]));
-        assert_eq!(touching(&Scene::of(&outer)), Vec::<String>::new());
+        assert_eq!(touching(&ChartPicture::of(&outer)), Vec::<String>::new());
     }
     let unknown = Unfold::Named(BTreeSet::from(["Nobody".to_owned()]));
     assert_eq!(unfold(&mut outline(text), &inner.charts, &unknown), BTreeSet::from(["Nobody".to_owned()]));
@@ -395,7 +396,7 @@ fn texts_can_be_read_on_what_is_behind_them_in_both_themes() {
 #[test]
 fn a_png_has_twice_the_pixels_of_the_picture_and_its_theme() {
     let outline = outline(CHART);
-    let size = Scene::of(&outline).size;
+    let size = ChartPicture::of(&outline).size;
     for (theme, paper) in
         [(Theme::Auto, [255, 255, 255]), (Theme::Light, [255, 255, 255]), (Theme::Dark, [20, 23, 29])]
     {
@@ -488,6 +489,6 @@ fn of_many_levels_those_are_shown_that_fit() {
 
 #[test]
 fn sixty_states_at_one_level_stand_in_columns_that_fit_a_screen() {
-    let size = Scene::of(&outline(&tangle(60, 0))).size;
+    let size = ChartPicture::of(&outline(&tangle(60, 0))).size;
     assert!(size.width < 1700.0 && size.height < 1700.0, "{size:?}");
 }

@@ -15,7 +15,7 @@ pub(crate) const TOKEN: &str = "x-armarium-token";
 
 /// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum Refusal {
+pub(crate) enum RequestRefusal {
     #[error("this page is at another address: open the one that was printed")]
     Host,
     #[error("only the page itself may ask")]
@@ -48,24 +48,26 @@ impl Admission {
     }
 
     /// Refuses a request of somebody else. Returns the cookie that a browser is to keep, if it came with the token in the address.
-    pub(crate) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<Option<String>, Refusal> {
+    pub(crate) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<Option<String>, RequestRefusal> {
         let text =
             |name| headers.get(name).map(|value: &hyper::header::HeaderValue| value.to_str().unwrap_or(""));
-        let host = text(HOST).ok_or(Refusal::Host)?;
+        let host = text(HOST).ok_or(RequestRefusal::Host)?;
         match self {
             Self::ThisMachine(names) => {
                 let ours = |host: &str| names.iter().any(|name| name.eq_ignore_ascii_case(host));
                 if !ours(host) {
-                    return Err(Refusal::Host);
+                    return Err(RequestRefusal::Host);
                 }
                 match text(ORIGIN) {
-                    Some(origin) if !origin.strip_prefix("http://").is_some_and(ours) => Err(Refusal::Origin),
+                    Some(origin) if !origin.strip_prefix("http://").is_some_and(ours) => {
+                        Err(RequestRefusal::Origin)
+                    }
                     _ => Ok(None),
                 }
             }
             Self::Invited { cookie, token } => {
                 if text(ORIGIN).is_some_and(|origin| origin.strip_prefix("https://") != Some(host)) {
-                    return Err(Refusal::Origin);
+                    return Err(RequestRefusal::Origin);
                 }
                 let given = uri.query().and_then(|query| query.strip_prefix("token="));
                 if given.is_some_and(|given| is_same(given.as_bytes(), token)) {
@@ -74,7 +76,7 @@ impl Admission {
                 let mut kept = text(COOKIE).unwrap_or("").split("; ").filter_map(|pair| pair.split_once('='));
                 let kept = kept.find(|(name, _)| name == cookie);
                 let known = kept.is_some_and(|(_, given)| is_same(given.as_bytes(), token));
-                known.then_some(None).ok_or(Refusal::Invitation)
+                known.then_some(None).ok_or(RequestRefusal::Invitation)
             }
         }
     }
@@ -87,9 +89,9 @@ fn is_same(given: &[u8], token: &str) -> bool {
 }
 
 /// Whether the request comes with the token of who acts.
-pub(crate) fn check_token(headers: &HeaderMap, token: &str) -> Result<(), Refusal> {
+pub(crate) fn check_token(headers: &HeaderMap, token: &str) -> Result<(), RequestRefusal> {
     let given = headers.get(TOKEN).map_or(&b""[..], hyper::header::HeaderValue::as_bytes);
-    is_same(given, token).then_some(()).ok_or(Refusal::Token)
+    is_same(given, token).then_some(()).ok_or(RequestRefusal::Token)
 }
 
 #[cfg(test)]
@@ -110,17 +112,17 @@ mod tests {
         assert_eq!(check(&[("host", "127.0.0.1:8123")]), Ok(None));
         assert_eq!(check(&[("host", "LOCALHOST:8123"), ("origin", "http://localhost:8123")]), Ok(None));
         for host in ["127.0.0.1", "127.0.0.1:80", "evil.example:8123", ""] {
-            assert_eq!(check(&[("host", host)]), Err(Refusal::Host));
+            assert_eq!(check(&[("host", host)]), Err(RequestRefusal::Host));
         }
-        assert_eq!(check(&[]), Err(Refusal::Host));
+        assert_eq!(check(&[]), Err(RequestRefusal::Host));
         for origin in ["http://evil.example", "null", "https://localhost:8123", "http://localhost:1"] {
-            assert_eq!(check(&[("host", "localhost:8123"), ("origin", origin)]), Err(Refusal::Origin));
+            assert_eq!(check(&[("host", "localhost:8123"), ("origin", origin)]), Err(RequestRefusal::Origin));
         }
         assert_eq!(check_token(&headers(&[(TOKEN, "abc")]), "abc"), Ok(()));
         for wrong in ["", "ab", "abcd", "abd"] {
-            assert_eq!(check_token(&headers(&[(TOKEN, wrong)]), "abc"), Err(Refusal::Token));
+            assert_eq!(check_token(&headers(&[(TOKEN, wrong)]), "abc"), Err(RequestRefusal::Token));
         }
-        assert_eq!(check_token(&headers(&[]), "abc"), Err(Refusal::Token));
+        assert_eq!(check_token(&headers(&[]), "abc"), Err(RequestRefusal::Token));
     }
 
     #[test]
@@ -134,11 +136,14 @@ mod tests {
         for path in ["/", "/?token=", "/?token=abd", "/?x=1&token=abc"] {
             assert_eq!(
                 check(path, &[host, ("cookie", "armarium-8123=ab")]),
-                Err(Refusal::Invitation),
+                Err(RequestRefusal::Invitation),
                 "{path}"
             );
         }
-        assert_eq!(check("/?token=abc", &[host, ("origin", "https://evil.example")]), Err(Refusal::Origin));
-        assert_eq!(check("/?token=abc", &[]), Err(Refusal::Host));
+        assert_eq!(
+            check("/?token=abc", &[host, ("origin", "https://evil.example")]),
+            Err(RequestRefusal::Origin)
+        );
+        assert_eq!(check("/?token=abc", &[]), Err(RequestRefusal::Host));
     }
 }

@@ -20,7 +20,7 @@ use tokio::sync::Semaphore;
 use tokio_io_timeout::TimeoutStream;
 use tokio_rustls::TlsAcceptor;
 
-pub(crate) use admission::{Admission, Refusal, check_token};
+pub(crate) use admission::{Admission, RequestRefusal, check_token};
 
 /// Most connections at a time; more are closed at once.
 const MOST_CONNECTIONS: usize = 128;
@@ -54,11 +54,11 @@ pub(crate) trait Site: Send + Sync + 'static {
     fn answer(
         &self,
         request: Request<Incoming>,
-    ) -> impl Future<Output = Result<Response<Body>, Refusal>> + Send;
+    ) -> impl Future<Output = Result<Response<Body>, RequestRefusal>> + Send;
 }
 
 /// A page with the requests that it answers.
-pub(crate) struct Server<S> {
+pub(crate) struct PageServer<S> {
     site: S,
     admission: Admission,
     refused: Throttled,
@@ -71,7 +71,7 @@ pub(crate) fn token() -> io::Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-impl<S: Site> Server<S> {
+impl<S: Site> PageServer<S> {
     pub(crate) fn new(site: S, admission: Admission) -> Arc<Self> {
         Arc::new(Self { site, admission, refused: Throttled::default() })
     }
@@ -137,7 +137,7 @@ impl<S: Site> Server<S> {
 pub(crate) async fn posted<T: serde::de::DeserializeOwned>(
     request: Request<Incoming>,
     token: &str,
-) -> Result<Result<T, Response<Body>>, Refusal> {
+) -> Result<Result<T, Response<Body>>, RequestRefusal> {
     check_token(request.headers(), token)?;
     let whole =
         tokio::time::timeout(HEAD_WITHIN, Limited::new(request.into_body(), MOST_BODY).collect()).await;
@@ -191,13 +191,13 @@ mod tests {
     struct Nothing;
 
     impl Site for Nothing {
-        async fn answer(&self, _: Request<Incoming>) -> Result<Response<Body>, Refusal> {
+        async fn answer(&self, _: Request<Incoming>) -> Result<Response<Body>, RequestRefusal> {
             Ok(plain(StatusCode::NOT_FOUND, "there is nothing".repeat(1000)))
         }
     }
 
-    fn server() -> Arc<Server<Nothing>> {
-        Server::new(Nothing, Admission::of("127.0.0.1:8123".parse().unwrap()))
+    fn server() -> Arc<PageServer<Nothing>> {
+        PageServer::new(Nothing, Admission::of("127.0.0.1:8123".parse().unwrap()))
     }
 
     /// How long a connection is kept that sends this and then nothing more, and takes nothing of the answer.

@@ -14,7 +14,7 @@ use hyper::{Request, Response, StatusCode};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use crate::http::{Admission, Body, HTML, Refusal, SCRIPT, Server, Site, body, plain};
+use crate::http::{Admission, Body, HTML, PageServer, RequestRefusal, SCRIPT, Site, body, plain};
 
 /// How long a frame may take to arrive.
 const TIMEOUT: Duration = Duration::from_secs(10);
@@ -37,7 +37,7 @@ pub async fn serve(
     let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
     let (want, wanted) = watch::channel(None);
     let Ok(address) = listener.local_addr() else { return };
-    let server = Server::new(ImageSite { newest, want }, Admission::of(address));
+    let server = PageServer::new(ImageSite { newest, want }, Admission::of(address));
     tokio::join!(pull(provider, remote, sender, wanted), server.serve(listener, None));
 }
 
@@ -110,7 +110,7 @@ struct ImageSite {
 }
 
 impl Site for ImageSite {
-    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, Refusal> {
+    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, RequestRefusal> {
         Ok(match request.uri().path() {
             "/" => body(StatusCode::OK, HTML, Bytes::from_static(PAGE.as_bytes())),
             "/page.js" => body(StatusCode::OK, SCRIPT, Bytes::from_static(PAGE_SCRIPT.as_bytes())),

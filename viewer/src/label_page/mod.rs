@@ -10,7 +10,9 @@ use parking_lot::Mutex;
 use serde::Deserialize;
 use tokio::net::TcpListener;
 
-use crate::http::{Admission, Body, HTML, Refusal, SCRIPT, Server, Site, body, json, plain, posted, token};
+use crate::http::{
+    Admission, Body, HTML, PageServer, RequestRefusal, SCRIPT, Site, body, json, plain, posted, token,
+};
 
 const PAGE: &str = include_str!("page.html");
 const PAGE_SCRIPT: &str = include_str!("page.js");
@@ -40,7 +42,7 @@ pub async fn serve(listener: TcpListener, images: ImagesToLabel) -> io::Result<(
     let admission = Admission::of(listener.local_addr()?);
     let ImagesToLabel { names, labels, image, keep } = images;
     let site = LabelSite { names, labels: Mutex::new(labels), image, keep, token: token()? };
-    Server::new(site, admission).serve(listener, None).await;
+    PageServer::new(site, admission).serve(listener, None).await;
     Ok(())
 }
 
@@ -61,7 +63,7 @@ struct Label {
 }
 
 impl Site for LabelSite {
-    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, Refusal> {
+    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, RequestRefusal> {
         if request.method() == Method::POST {
             return Ok(match posted(request, &self.token).await? {
                 Ok(label) => self.label(label),

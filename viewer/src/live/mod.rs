@@ -23,7 +23,7 @@ use futures::future::BoxFuture;
 use serde::Deserialize;
 use tokio::sync::oneshot;
 
-use crate::http::{Admission, Server, token};
+use crate::http::{Admission, PageServer, token};
 use server::RunSite;
 
 pub use address::{CertificateError, PageAddress};
@@ -108,7 +108,7 @@ impl LivePage {
                 (Admission::invited(address, token), url)
             }
         };
-        let server = Server::new(RunSite { runs, token: token()? }, admission);
+        let server = PageServer::new(RunSite { runs, token: token()? }, admission);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (ends, ended) = oneshot::channel();
         let serving = move || {

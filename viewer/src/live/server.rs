@@ -13,7 +13,7 @@ use super::Action;
 use super::assets::ASSETS;
 use super::runs::ShownRuns;
 use super::shown::PageAnswer;
-use crate::http::{Body, HTML, Refusal, Site, body, json, plain, posted, respond};
+use crate::http::{Body, HTML, RequestRefusal, Site, body, json, plain, posted, respond};
 use crate::report::scoped_style;
 
 /// How often they are told that nothing is new.
@@ -31,7 +31,7 @@ pub(super) struct RunSite {
 }
 
 impl Site for RunSite {
-    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, Refusal> {
+    async fn answer(&self, request: Request<Incoming>) -> Result<Response<Body>, RequestRefusal> {
         match *request.method() {
             Method::GET => Ok(self.get(&request).await),
             Method::POST => self.post(request).await,
@@ -79,7 +79,7 @@ impl RunSite {
         answer
     }
 
-    async fn post(&self, request: Request<Incoming>) -> Result<Response<Body>, Refusal> {
+    async fn post(&self, request: Request<Incoming>) -> Result<Response<Body>, RequestRefusal> {
         let path = request.uri().path();
         let number = match path.strip_prefix(RUNS).and_then(|rest| rest.strip_suffix("/act")) {
             Some(number) => number.parse().ok(),

@@ -118,7 +118,7 @@ impl Entity {
 
 /// A change of memory as it is recorded.
 #[derive(Deserialize)]
-struct Change {
+struct RecordedChange {
     entity: String,
     known: Json,
 }
@@ -402,7 +402,7 @@ impl Run {
     }
 
     fn change(&mut self, stamp_ns: u64, text: &str) {
-        let Ok(Change { entity, known }) = serde_json::from_str(text) else { return };
+        let Ok(RecordedChange { entity, known }) = serde_json::from_str(text) else { return };
         if self.entities.len() >= MOST_ENTITIES && !self.entities.contains_key(&entity) {
             return;
         }

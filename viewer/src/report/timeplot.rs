@@ -8,7 +8,7 @@ use super::svg::{Anchor, Svg, fit, text_width};
 
 /// The size of a plot.
 #[derive(Clone, Copy)]
-pub(super) struct Size {
+pub(super) struct PlotSize {
     pub(super) width: f64,
     pub(super) height: f64,
     /// Whether it is one of several: title inside the picture, no repeated labels.
@@ -16,12 +16,12 @@ pub(super) struct Size {
 }
 
 /// The page's whole width.
-pub(super) const WIDE: Size = Size { width: 1000.0, height: 320.0, small: false };
+pub(super) const WIDE: PlotSize = PlotSize { width: 1000.0, height: 320.0, small: false };
 /// Two side by side.
-pub(super) const SMALL: Size = Size { width: 490.0, height: 190.0, small: true };
+pub(super) const SMALL: PlotSize = PlotSize { width: 490.0, height: 190.0, small: true };
 
 /// Draws the plot as SVG.
-pub(super) fn draw(plot: &TimePlot, time: [f64; 2], size: Size) -> String {
+pub(super) fn draw(plot: &TimePlot, time: [f64; 2], size: PlotSize) -> String {
     let entries = entries(plot, size);
     let left = 58.0;
     let width = size.width - left - 16.0;
@@ -58,7 +58,7 @@ fn class_of(index: usize) -> String {
     format!("line c{}", index % 6 + 1)
 }
 
-fn entries(plot: &TimePlot, size: Size) -> Vec<(String, String, Key)> {
+fn entries(plot: &TimePlot, size: PlotSize) -> Vec<(String, String, Key)> {
     if size.small && plot.series.len() < 2 {
         return Vec::new();
     }

@@ -6,8 +6,8 @@ use nalgebra::Isometry2;
 
 use super::hypothesis::{Hypothesis, LEAST, of_rest, patches, spread};
 use super::labels::{STAYED, labels};
-use super::motion::Change;
-use super::top_view::{Occupancy, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
+use super::motion::ViewChange;
+use super::top_view::{CellIndex, Occupancy, TopCell, TopView, around, mean_of, middle_of, place_of};
 
 /// Fewer changed cells are noise.
 const CHANGED: usize = 20;
@@ -26,7 +26,7 @@ const MARGIN: i32 = 50;
 struct Part {
     of: usize,
     label: usize,
-    cells: BTreeMap<Place, TopCell>,
+    cells: BTreeMap<CellIndex, TopCell>,
 }
 
 /// What `known` becomes by a look at the table after `pushed` was pushed; new hypotheses are named from `next` on.
@@ -40,7 +40,7 @@ pub fn told_apart(
     next: &mut usize,
 ) -> Vec<Hypothesis> {
     let before = remembered(known, after);
-    let change = Change::between(&before, after);
+    let change = ViewChange::between(&before, after);
     let motions = motions(&change);
     let parts: Vec<Part> = known
         .iter()
@@ -57,7 +57,7 @@ pub fn told_apart(
 /// What hypotheses say of the table, over what was seen of it later; where they say nothing it was free.
 fn remembered(known: &[Hypothesis], after: &TopView) -> TopView {
     let places = || known.iter().flat_map(|hypothesis| hypothesis.cells.keys());
-    let extent = |f: fn(&Place) -> i32| {
+    let extent = |f: fn(&CellIndex) -> i32| {
         let all = places().copied().chain(after.occupied().map(|(place, _)| place));
         all.map(|place| f(&place)).fold((i32::MAX, i32::MIN), |(a, b), v| (a.min(v), b.max(v)))
     };
@@ -77,7 +77,7 @@ fn remembered(known: &[Hypothesis], after: &TopView) -> TopView {
 }
 
 /// The motions that explain a change, the one that explains the most first.
-fn motions(change: &Change<'_>) -> Vec<Isometry2<f64>> {
+fn motions(change: &ViewChange<'_>) -> Vec<Isometry2<f64>> {
     let mut motions = Vec::new();
     let mut left = change.without(&Isometry2::identity());
     while left.size() >= CHANGED && motions.len() < MOTIONS {
@@ -97,12 +97,17 @@ fn motions(change: &Change<'_>) -> Vec<Isometry2<f64>> {
 }
 
 /// The parts of a hypothesis that made different motions. One that is confirmed has no parts.
-fn parts(of: usize, hypothesis: &Hypothesis, change: &Change<'_>, motions: &[Isometry2<f64>]) -> Vec<Part> {
+fn parts(
+    of: usize,
+    hypothesis: &Hypothesis,
+    change: &ViewChange<'_>,
+    motions: &[Isometry2<f64>],
+) -> Vec<Part> {
     let least = match hypothesis.confirmed {
         true => usize::MAX,
         false => LEAST.max((hypothesis.cells.len() as f64 * PART) as usize),
     };
-    let mut parts: BTreeMap<usize, BTreeMap<Place, TopCell>> = BTreeMap::new();
+    let mut parts: BTreeMap<usize, BTreeMap<CellIndex, TopCell>> = BTreeMap::new();
     for (place, label) in labels(&hypothesis.cells, change, (motions, least)) {
         parts.entry(label).or_default().insert(place, hypothesis.cells[&place]);
     }
@@ -161,9 +166,9 @@ fn seen_again(
     after: &TopView,
     next: &mut usize,
 ) -> Vec<Hypothesis> {
-    let surface: BTreeMap<Place, TopCell> =
+    let surface: BTreeMap<CellIndex, TopCell> =
         after.occupied().filter(|(place, top)| after.is_surface(*place, top)).collect();
-    let mut expected: BTreeMap<Place, (usize, f64)> = BTreeMap::new();
+    let mut expected: BTreeMap<CellIndex, (usize, f64)> = BTreeMap::new();
     for (i, (thing, label)) in things.iter().enumerate() {
         let motion = label.checked_sub(1).map_or_else(Isometry2::identity, |k| motions[k]);
         for (place, top) in &thing.cells {
@@ -177,15 +182,16 @@ fn seen_again(
             }
         }
     }
-    let mut of: BTreeMap<Place, usize> = expected.into_iter().map(|(place, (i, _))| (place, i)).collect();
-    let sources = |of: &BTreeMap<Place, usize>| of.iter().map(|(place, i)| (*place, *i)).collect();
-    let alike = |a: Place, b: Place| surface.get(&a).zip(surface.get(&b)).is_some_and(|(a, b)| a.is_like(b));
+    let mut of: BTreeMap<CellIndex, usize> = expected.into_iter().map(|(place, (i, _))| (place, i)).collect();
+    let sources = |of: &BTreeMap<CellIndex, usize>| of.iter().map(|(place, i)| (*place, *i)).collect();
+    let alike =
+        |a: CellIndex, b: CellIndex| surface.get(&a).zip(surface.get(&b)).is_some_and(|(a, b)| a.is_like(b));
     // A thing is in one place: what would be elsewhere, too, goes with the surface around it.
     let elsewhere = all_but_the_largest(&of);
     of.retain(|place, _| !elsewhere.contains(place));
     of.extend(spread(sources(&of), alike));
     let new = of_rest(after, &of.keys().copied().collect(), next);
-    let taken: BTreeSet<Place> = new.iter().flat_map(|thing| thing.cells.keys().copied()).collect();
+    let taken: BTreeSet<CellIndex> = new.iter().flat_map(|thing| thing.cells.keys().copied()).collect();
     of.extend(spread(sources(&of), |_, to| surface.contains_key(&to) && !taken.contains(&to)));
     let mut again: Vec<Hypothesis> =
         things.into_iter().map(|(thing, _)| Hypothesis { cells: BTreeMap::new(), ..thing }).collect();
@@ -198,7 +204,7 @@ fn seen_again(
 }
 
 /// The cells of each label that are not in its largest patch.
-fn all_but_the_largest(labels: &BTreeMap<Place, usize>) -> BTreeSet<Place> {
+fn all_but_the_largest(labels: &BTreeMap<CellIndex, usize>) -> BTreeSet<CellIndex> {
     let patches = patches(labels);
     let mut largest: BTreeMap<usize, usize> = BTreeMap::new();
     for (label, patch) in &patches {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use nalgebra::{Isometry3, Point2, UnitQuaternion, Vector3};
 
-use super::top_view::{CELL, Place, TopCell, TopView, around, beside, mean_of, middle_of};
+use super::top_view::{CELL, CellIndex, TopCell, TopView, around, beside, mean_of, middle_of};
 use crate::plane::Plane;
 use crate::rectangle::Rectangle;
 
@@ -22,7 +22,7 @@ pub struct Hypothesis {
     /// Its name.
     pub name: String,
     /// Its upper surface, by cells.
-    pub(super) cells: BTreeMap<Place, TopCell>,
+    pub(super) cells: BTreeMap<CellIndex, TopCell>,
     /// Whether it has moved as one while what is around it did not, so that it is a thing.
     pub confirmed: bool,
     /// How often it was pushed.
@@ -31,7 +31,7 @@ pub struct Hypothesis {
 
 impl Hypothesis {
     /// One of which nothing is known but these cells.
-    pub(super) fn new(name: String, cells: BTreeMap<Place, TopCell>) -> Self {
+    pub(super) fn new(name: String, cells: BTreeMap<CellIndex, TopCell>) -> Self {
         Self { name, cells, confirmed: false, pushes: 0 }
     }
 
@@ -89,7 +89,7 @@ impl Hypothesis {
     }
 
     /// Whether a cell of another one is within `reach` cells of one of its own.
-    pub(super) fn is_near(&self, other: &BTreeMap<Place, TopCell>, reach: i32) -> bool {
+    pub(super) fn is_near(&self, other: &BTreeMap<CellIndex, TopCell>, reach: i32) -> bool {
         other.keys().any(|place| around(*place, reach).any(|near| self.cells.contains_key(&near)))
     }
 }
@@ -100,12 +100,12 @@ pub fn first_hypotheses(view: &TopView, next: &mut usize) -> Vec<Hypothesis> {
 }
 
 /// The same of the cells that are not taken.
-pub(super) fn of_rest(view: &TopView, taken: &BTreeSet<Place>, next: &mut usize) -> Vec<Hypothesis> {
-    let mut left: BTreeMap<Place, TopCell> = view
+pub(super) fn of_rest(view: &TopView, taken: &BTreeSet<CellIndex>, next: &mut usize) -> Vec<Hypothesis> {
+    let mut left: BTreeMap<CellIndex, TopCell> = view
         .occupied()
         .filter(|(place, top)| !taken.contains(place) && view.is_surface(*place, top))
         .collect();
-    let mut found: Vec<BTreeMap<Place, TopCell>> = Vec::new();
+    let mut found: Vec<BTreeMap<CellIndex, TopCell>> = Vec::new();
     let mut rest = BTreeMap::new();
     while let Some((start, top)) = left.pop_first() {
         let (mut cells, mut open) = (BTreeMap::from([(start, top)]), vec![(start, top)]);
@@ -125,7 +125,7 @@ pub(super) fn of_rest(view: &TopView, taken: &BTreeSet<Place>, next: &mut usize)
         }
     }
     // What is between two colours belongs to the one that is reached first.
-    let sources: Vec<(Place, usize)> =
+    let sources: Vec<(CellIndex, usize)> =
         found.iter().enumerate().flat_map(|(i, cells)| cells.keys().map(move |place| (*place, i))).collect();
     for (place, of) in spread(sources, |_, to| rest.contains_key(&to)) {
         if let Some(top) = rest.get(&place) {
@@ -142,16 +142,16 @@ pub(super) fn of_rest(view: &TopView, taken: &BTreeSet<Place>, next: &mut usize)
 }
 
 /// Joins what is of one height and touches: most of it is one thing with several colours.
-fn level_joined(found: Vec<BTreeMap<Place, TopCell>>) -> Vec<BTreeMap<Place, TopCell>> {
-    let mean = |cells: &BTreeMap<Place, TopCell>| {
+fn level_joined(found: Vec<BTreeMap<CellIndex, TopCell>>) -> Vec<BTreeMap<CellIndex, TopCell>> {
+    let mean = |cells: &BTreeMap<CellIndex, TopCell>| {
         cells.values().map(|top| top.height).sum::<f64>() / cells.len().max(1) as f64
     };
-    let mut joined: Vec<(Vec<f64>, BTreeMap<Place, TopCell>)> = Vec::new();
+    let mut joined: Vec<(Vec<f64>, BTreeMap<CellIndex, TopCell>)> = Vec::new();
     for cells in found {
         let (mut heights, mut all) = (vec![mean(&cells)], cells);
-        let is_one = |(others, other): &(Vec<f64>, BTreeMap<Place, TopCell>)| {
+        let is_one = |(others, other): &(Vec<f64>, BTreeMap<CellIndex, TopCell>)| {
             let level = others.iter().any(|other| heights.iter().any(|own| (own - other).abs() < LEVEL));
-            let touching = |place: &&Place| around(**place, 1).any(|near| other.contains_key(&near));
+            let touching = |place: &&CellIndex| around(**place, 1).any(|near| other.contains_key(&near));
             level && all.keys().filter(touching).count() >= BORDER
         };
         let (same, rest): (Vec<_>, Vec<_>) = joined.into_iter().partition(is_one);
@@ -167,11 +167,11 @@ fn level_joined(found: Vec<BTreeMap<Place, TopCell>>) -> Vec<BTreeMap<Place, Top
 
 /// Spreads labels from cells to cells around them to which the way is open, the nearest first; gives the cells that were reached.
 pub(super) fn spread(
-    sources: Vec<(Place, usize)>,
-    open: impl Fn(Place, Place) -> bool,
-) -> Vec<(Place, usize)> {
-    let mut reached: BTreeSet<Place> = sources.iter().map(|(place, _)| *place).collect();
-    let mut waiting: VecDeque<(Place, usize)> = sources.into();
+    sources: Vec<(CellIndex, usize)>,
+    open: impl Fn(CellIndex, CellIndex) -> bool,
+) -> Vec<(CellIndex, usize)> {
+    let mut reached: BTreeSet<CellIndex> = sources.iter().map(|(place, _)| *place).collect();
+    let mut waiting: VecDeque<(CellIndex, usize)> = sources.into();
     let mut found = Vec::new();
     while let Some((here, label)) = waiting.pop_front() {
         for place in around(here, 1) {
@@ -186,7 +186,7 @@ pub(super) fn spread(
 }
 
 /// The connected patches of cells of one label, each with its label.
-pub(super) fn patches(labels: &BTreeMap<Place, usize>) -> Vec<(usize, BTreeSet<Place>)> {
+pub(super) fn patches(labels: &BTreeMap<CellIndex, usize>) -> Vec<(usize, BTreeSet<CellIndex>)> {
     let mut left = labels.clone();
     let mut patches = Vec::new();
     while let Some((start, label)) = left.pop_first() {

@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Isometry2;
 
 use super::hypothesis::{patches, spread};
-use super::motion::{Change, Feature, matches};
-use super::top_view::{Place, TopCell, middle_of, place_of};
+use super::motion::{Feature, ViewChange, matches};
+use super::top_view::{CellIndex, TopCell, middle_of, place_of};
 
 /// Stayed where it was; motions count from 1.
 pub(super) const STAYED: usize = 0;
@@ -19,14 +19,14 @@ pub(super) const STAYED: usize = 0;
 /// The motion of each cell: [`STAYED`], or one more than the index of its motion. Each motion is needed by at least `least` cells that
 /// none of the others explains; where that is not so of any, all cells made the one that the most cells need.
 pub(super) fn labels(
-    cells: &BTreeMap<Place, TopCell>,
-    change: &Change<'_>,
+    cells: &BTreeMap<CellIndex, TopCell>,
+    change: &ViewChange<'_>,
     (motions, least): (&[Isometry2<f64>], usize),
-) -> BTreeMap<Place, usize> {
-    let possible: BTreeMap<Place, BTreeSet<usize>> =
+) -> BTreeMap<CellIndex, usize> {
+    let possible: BTreeMap<CellIndex, BTreeSet<usize>> =
         cells.iter().map(|(place, top)| (*place, possible(*place, top, change, motions))).collect();
     let needed = needed(&possible, motions.len(), least);
-    let mut decided: BTreeMap<Place, usize> =
+    let mut decided: BTreeMap<CellIndex, usize> =
         possible.iter().filter_map(|(place, labels)| Some((*place, only(&(labels & &needed))?))).collect();
     fill(&mut decided, cells);
     // Specks go with what is around them.
@@ -42,7 +42,12 @@ pub(super) fn labels(
 }
 
 /// What a cell may have done.
-fn possible(place: Place, top: &TopCell, change: &Change<'_>, motions: &[Isometry2<f64>]) -> BTreeSet<usize> {
+fn possible(
+    place: CellIndex,
+    top: &TopCell,
+    change: &ViewChange<'_>,
+    motions: &[Isometry2<f64>],
+) -> BTreeSet<usize> {
     let feature = Feature { place, top: *top, edge: false };
     let moves = (1..=motions.len()).filter(|label| matches(change.after, &motions[label - 1], &feature));
     let moves: BTreeSet<usize> = moves.collect();
@@ -66,7 +71,7 @@ fn possible(place: Place, top: &TopCell, change: &Change<'_>, motions: &[Isometr
 }
 
 /// The labels without which at least so many cells have none; at least one of all.
-fn needed(possible: &BTreeMap<Place, BTreeSet<usize>>, motions: usize, least: usize) -> BTreeSet<usize> {
+fn needed(possible: &BTreeMap<CellIndex, BTreeSet<usize>>, motions: usize, least: usize) -> BTreeSet<usize> {
     let mut needed: BTreeSet<usize> = (STAYED..=motions).collect();
     while needed.len() > 1 {
         let mut alone = vec![0; motions + 1];
@@ -90,16 +95,18 @@ fn only(labels: &BTreeSet<usize>) -> Option<usize> {
 }
 
 /// Gives each cell that is not decided the label of the nearest one of its surface that is, or of the nearest one.
-fn fill(decided: &mut BTreeMap<Place, usize>, cells: &BTreeMap<Place, TopCell>) {
-    let alike = |a: Place, b: Place| cells.get(&a).zip(cells.get(&b)).is_some_and(|(a, b)| a.is_like(b));
-    let sources =
-        |decided: &BTreeMap<Place, usize>| decided.iter().map(|(place, label)| (*place, *label)).collect();
+fn fill(decided: &mut BTreeMap<CellIndex, usize>, cells: &BTreeMap<CellIndex, TopCell>) {
+    let alike =
+        |a: CellIndex, b: CellIndex| cells.get(&a).zip(cells.get(&b)).is_some_and(|(a, b)| a.is_like(b));
+    let sources = |decided: &BTreeMap<CellIndex, usize>| {
+        decided.iter().map(|(place, label)| (*place, *label)).collect()
+    };
     decided.extend(spread(sources(decided), alike));
     decided.extend(spread(sources(decided), |_, to| cells.contains_key(&to)));
 }
 
 /// The cells of connected patches of one label that have fewer than `least` cells.
-fn specks(labels: &BTreeMap<Place, usize>, least: usize) -> BTreeSet<Place> {
+fn specks(labels: &BTreeMap<CellIndex, usize>, least: usize) -> BTreeSet<CellIndex> {
     let patches = patches(labels).into_iter();
     patches.filter(|(_, patch)| patch.len() < least).flat_map(|(_, patch)| patch).collect()
 }

@@ -5,7 +5,7 @@
 
 use nalgebra::{Isometry2, Point2, Vector2};
 
-use super::top_view::{CELL, Occupancy, Place, TopCell, TopView, around, mean_of, middle_of, place_of};
+use super::top_view::{CELL, CellIndex, Occupancy, TopCell, TopView, around, mean_of, middle_of, place_of};
 
 /// Largest turn and shift that are looked for, rad and m, and their steps.
 const TURNS: (f64, f64) = (1.0, 0.1);
@@ -28,14 +28,14 @@ const EDGE: f64 = 3.0;
 /// A cell with what its match must be like.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Feature {
-    pub(super) place: Place,
+    pub(super) place: CellIndex,
     pub(super) top: TopCell,
     /// Whether a surface ends there.
     pub(super) edge: bool,
 }
 
 /// Two looks at a table, and in what they differ.
-pub(super) struct Change<'v> {
+pub(super) struct ViewChange<'v> {
     pub(super) before: &'v TopView,
     pub(super) after: &'v TopView,
     /// What was there before, and is gone.
@@ -44,7 +44,7 @@ pub(super) struct Change<'v> {
     pub(super) come: Vec<Feature>,
 }
 
-impl<'v> Change<'v> {
+impl<'v> ViewChange<'v> {
     /// The change from one look to another.
     pub(super) fn between(before: &'v TopView, after: &'v TopView) -> Self {
         let differs = |of: &TopView, from: &TopView| -> Vec<Feature> {

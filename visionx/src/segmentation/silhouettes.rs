@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Point2, Point3};
 
 use super::hypothesis::Hypothesis;
-use super::top_view::{Place, around, middle_of, place_of};
+use super::top_view::{CellIndex, around, middle_of, place_of};
 use crate::camera::PinholeCamera;
 use crate::components::{components, fill_holes};
 use crate::frame::{DepthImage, RgbImage};
@@ -36,7 +36,7 @@ pub(super) fn silhouettes(
     plane: &Plane,
 ) -> Vec<Vec<PixelRun>> {
     let size = [depth.width as usize, depth.height as usize];
-    let owners: BTreeMap<Place, usize> = hypotheses
+    let owners: BTreeMap<CellIndex, usize> = hypotheses
         .iter()
         .enumerate()
         .flat_map(|(i, h)| h.cells.keys().map(move |place| (*place, i)))
@@ -64,13 +64,13 @@ pub(super) fn silhouettes(
 
 /// The hypothesis with the nearest cell that is high enough.
 fn owner(
-    owners: &BTreeMap<Place, usize>,
+    owners: &BTreeMap<CellIndex, usize>,
     hypotheses: &[Hypothesis],
     at: &Point2<f64>,
     height: f64,
 ) -> Option<usize> {
     let here = place_of(at);
-    let own = |place: Place| {
+    let own = |place: CellIndex| {
         let of = *owners.get(&place)?;
         (height < hypotheses[of].cells[&place].height + HIGHER).then_some(of)
     };

@@ -7,8 +7,8 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
 use super::hypothesis::{Hypothesis, first_hypotheses};
-use super::motion::{Change, rigid};
-use super::top_view::{Occupancy, Place, TopCell, TopView, middle_of};
+use super::motion::{ViewChange, rigid};
+use super::top_view::{CellIndex, Occupancy, TopCell, TopView, middle_of};
 use super::{Appearance, PlannedPush, PushChoice, most_alike, told_apart};
 
 const RED: [f64; 3] = [190.0, 50.0, 45.0];
@@ -34,19 +34,19 @@ impl Thing {
         Self { at: motion * self.at, ..self }
     }
 
-    fn top(&self, place: Place) -> Option<TopCell> {
+    fn top(&self, place: CellIndex) -> Option<TopCell> {
         let local = self.at.inverse() * middle_of(place);
         let inside = (0..2).all(|i| local[i].abs() <= self.size[i] / 2.0);
         let color = Vector3::from(self.colors[usize::from(local.x > 0.0)]);
         inside.then_some(TopCell { height: self.height, color })
     }
 
-    fn cells(&self) -> BTreeSet<Place> {
+    fn cells(&self) -> BTreeSet<CellIndex> {
         places().filter(|place| self.top(*place).is_some()).collect()
     }
 }
 
-fn places() -> impl Iterator<Item = Place> {
+fn places() -> impl Iterator<Item = CellIndex> {
     (75..175).flat_map(|y| (-25..125).map(move |x| (x, y)))
 }
 
@@ -193,7 +193,7 @@ proptest! {
         let thing = Thing { colors, ..Thing::new((0.2, 0.5, 0.3), [w, 0.06], RED) };
         let truth = about(&thing, (way * libm::cos(angle), way * libm::sin(angle), turn));
         let (before, after) = (table(&[thing]), table(&[thing.moved(&truth)]));
-        let found = Change::between(&before, &after).best_motion().unwrap();
+        let found = ViewChange::between(&before, &after).best_motion().unwrap();
         // A plain thing that is nearly square may as well have turned by a quarter: what counts is where it is.
         let (is, should) = (thing.moved(&found).cells(), thing.moved(&truth).cells());
         let iou = is.intersection(&should).count() as f64 / is.union(&should).count() as f64;

@@ -26,7 +26,7 @@ const INSIDE: f64 = 0.01;
 const MOST: i32 = 800;
 
 /// A column and a row.
-pub(super) type Place = (i32, i32);
+pub(super) type CellIndex = (i32, i32);
 
 /// The upper surface in a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,34 +59,34 @@ pub(super) enum Occupancy {
 /// A grid over the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopView {
-    low: Place,
-    size: Place,
+    low: CellIndex,
+    size: CellIndex,
     cells: Vec<Occupancy>,
 }
 
 /// The cell of a place, root frame, m.
-pub(super) fn place_of(at: &Point2<f64>) -> Place {
+pub(super) fn place_of(at: &Point2<f64>) -> CellIndex {
     ((at.x / CELL).floor() as i32, (at.y / CELL).floor() as i32)
 }
 
 /// The middle of a cell, root frame, m.
-pub(super) fn middle_of((x, y): Place) -> Point2<f64> {
+pub(super) fn middle_of((x, y): CellIndex) -> Point2<f64> {
     Point2::new((f64::from(x) + 0.5) * CELL, (f64::from(y) + 0.5) * CELL)
 }
 
 /// The cells around a cell, with it, up to so many columns and rows away.
-pub(super) fn around((x, y): Place, reach: i32) -> impl Iterator<Item = Place> {
+pub(super) fn around((x, y): CellIndex, reach: i32) -> impl Iterator<Item = CellIndex> {
     (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (x + dx, y + dy)))
 }
 
 /// The four cells beside a cell.
-pub(super) fn beside((x, y): Place) -> [Place; 4] {
+pub(super) fn beside((x, y): CellIndex) -> [CellIndex; 4] {
     [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)]
 }
 
 impl TopView {
     /// A view without anything between two corners, inclusive.
-    pub(super) fn unknown(low: Place, high: Place) -> Self {
+    pub(super) fn unknown(low: CellIndex, high: CellIndex) -> Self {
         let size = ((high.0 - low.0 + 1).clamp(0, MOST), (high.1 - low.1 + 1).clamp(0, MOST));
         Self { low, size, cells: vec![Occupancy::Unknown; (size.0 * size.1) as usize] }
     }
@@ -105,7 +105,7 @@ impl TopView {
         let flat: Vec<Point2<f64>> = on_it.map(|p| plane.flat(&p.at)).collect();
         let border = Rectangle::around(&flat, 0.01, 2e-4)?;
         let all = DepthPoints::of(depth, camera, root_from_left, (1, f64::MAX));
-        let over: Vec<(Place, f64, Vector3<f64>)> = all
+        let over: Vec<(CellIndex, f64, Vector3<f64>)> = all
             .points
             .iter()
             .filter(|p| border.holds(&plane.flat(&p.at), -INSIDE))
@@ -119,8 +119,8 @@ impl TopView {
         Some((Self::of_points(&over), plane))
     }
 
-    fn of_points(points: &[(Place, f64, Vector3<f64>)]) -> Self {
-        let extent = |f: &dyn Fn(&Place) -> i32| {
+    fn of_points(points: &[(CellIndex, f64, Vector3<f64>)]) -> Self {
+        let extent = |f: &dyn Fn(&CellIndex) -> i32| {
             points
                 .iter()
                 .map(|(place, ..)| f(place))
@@ -151,26 +151,26 @@ impl TopView {
         view
     }
 
-    fn index(&self, (x, y): Place) -> Option<usize> {
+    fn index(&self, (x, y): CellIndex) -> Option<usize> {
         let (x, y) = (x - self.low.0, y - self.low.1);
         let inside = (0..self.size.0).contains(&x) && (0..self.size.1).contains(&y);
         inside.then(|| (y * self.size.0 + x) as usize)
     }
 
     /// What is known of a cell.
-    pub(super) fn at(&self, place: Place) -> Occupancy {
+    pub(super) fn at(&self, place: CellIndex) -> Occupancy {
         self.index(place).map_or(Occupancy::Unknown, |i| self.cells[i])
     }
 
     /// Sets a cell inside of the grid.
-    pub(super) fn set(&mut self, place: Place, known: Occupancy) {
+    pub(super) fn set(&mut self, place: CellIndex, known: Occupancy) {
         if let Some(i) = self.index(place) {
             self.cells[i] = known;
         }
     }
 
     /// The surface in a cell, if it is occupied.
-    pub(super) fn top(&self, place: Place) -> Option<TopCell> {
+    pub(super) fn top(&self, place: CellIndex) -> Option<TopCell> {
         match self.at(place) {
             Occupancy::Occupied(top) => Some(top),
             Occupancy::Free | Occupancy::Unknown => None,
@@ -178,7 +178,7 @@ impl TopView {
     }
 
     /// All occupied cells, row by row.
-    pub(super) fn occupied(&self) -> impl Iterator<Item = (Place, TopCell)> + '_ {
+    pub(super) fn occupied(&self) -> impl Iterator<Item = (CellIndex, TopCell)> + '_ {
         let place = |i: usize| (self.low.0 + i as i32 % self.size.0, self.low.1 + i as i32 / self.size.0);
         self.cells.iter().enumerate().filter_map(move |(i, known)| match known {
             Occupancy::Occupied(top) => Some((place(i), *top)),
@@ -187,24 +187,24 @@ impl TopView {
     }
 
     /// Whether a surface like this one is in or beside a cell.
-    pub(super) fn shows(&self, place: Place, top: &TopCell) -> bool {
+    pub(super) fn shows(&self, place: CellIndex, top: &TopCell) -> bool {
         around(place, 1).any(|place| self.top(place).is_some_and(|other| other.is_like(top)))
     }
 
     /// Whether a cell is of an upper surface: at least two of those beside it continue it. What is seen of an upright side is not.
-    pub(super) fn is_surface(&self, place: Place, top: &TopCell) -> bool {
+    pub(super) fn is_surface(&self, place: CellIndex, top: &TopCell) -> bool {
         let level = |place| self.top(place).is_some_and(|other| (other.height - top.height).abs() < SAME.0);
         beside(place).into_iter().filter(|place| level(*place)).count() >= 2
     }
 
     /// Whether a surface ends in this cell: one beside it is not like it.
-    pub(super) fn is_edge(&self, place: Place, top: &TopCell) -> bool {
+    pub(super) fn is_edge(&self, place: CellIndex, top: &TopCell) -> bool {
         beside(place).into_iter().any(|place| !self.top(place).is_some_and(|other| other.is_like(top)))
     }
 }
 
 /// The mean of places, m.
-pub(super) fn mean_of(places: impl Iterator<Item = Place>) -> Option<Point2<f64>> {
+pub(super) fn mean_of(places: impl Iterator<Item = CellIndex>) -> Option<Point2<f64>> {
     let (n, sum) =
         places.fold((0.0, Vector2::zeros()), |(n, sum), place| (n + 1.0, sum + middle_of(place).coords));
     (n > 0.0).then(|| Point2::from(sum / n))

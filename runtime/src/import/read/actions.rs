@@ -2,7 +2,7 @@
 
 use roxmltree::Node;
 
-use super::{Action, Code, Content, Payload, ScxmlReader, Send, words};
+use super::{Code, Payload, ScxmlAction, ScxmlContent, ScxmlReader, ScxmlSend, words};
 
 /// Deepest nesting of `<if>`: each `elseif` becomes a nesting level in the chart's text.
 const MAX_IFS: usize = 20;
@@ -10,7 +10,7 @@ const MAX_IFS: usize = 20;
 const MAX_JSON: usize = 20;
 
 impl<'x> ScxmlReader<'x, '_> {
-    pub(super) fn actions(&mut self, node: Node<'x, 'x>, depth: usize) -> Vec<Action> {
+    pub(super) fn actions(&mut self, node: Node<'x, 'x>, depth: usize) -> Vec<ScxmlAction> {
         let inside = node.tag_name().name();
         let mut actions = Vec::new();
         for child in node.children() {
@@ -21,14 +21,14 @@ impl<'x> ScxmlReader<'x, '_> {
         actions
     }
 
-    fn action(&mut self, node: Node<'x, 'x>, name: &str, inside: &str, depth: usize) -> Option<Action> {
+    fn action(&mut self, node: Node<'x, 'x>, name: &str, inside: &str, depth: usize) -> Option<ScxmlAction> {
         match name {
             "raise" => self.raise(node),
             "send" => self.send(node),
             "cancel" => self.cancel(node),
             "log" => {
                 let label = node.attribute("label").map(str::to_owned).filter(|l| !l.is_empty());
-                Some(Action::Log { label, expr: self.code(node, "expr") })
+                Some(ScxmlAction::Log { label, expr: self.code(node, "expr") })
             }
             "if" if depth < MAX_IFS => Some(self.choice(node, depth)),
             "if" => {
@@ -42,23 +42,23 @@ impl<'x> ScxmlReader<'x, '_> {
         }
     }
 
-    fn raise(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+    fn raise(&mut self, node: Node<'x, 'x>) -> Option<ScxmlAction> {
         let Some(event) = node.attribute("event").filter(|e| !e.trim().is_empty()) else {
             self.error(node, "`<raise>` needs an `event`");
             return None;
         };
-        Some(Action::Raise(event.trim().to_owned()))
+        Some(ScxmlAction::Raise(event.trim().to_owned()))
     }
 
-    fn cancel(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+    fn cancel(&mut self, node: Node<'x, 'x>) -> Option<ScxmlAction> {
         let id = self.text(node, "sendid", "sendidexpr");
         if id.is_none() {
             self.error(node, "`<cancel>` needs a `sendid`");
         }
-        id.map(Action::Cancel)
+        id.map(ScxmlAction::Cancel)
     }
 
-    fn send(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+    fn send(&mut self, node: Node<'x, 'x>) -> Option<ScxmlAction> {
         for attribute in ["idlocation", "namelist"] {
             if node.attribute(attribute).is_some_and(|a| !a.trim().is_empty()) {
                 let message =
@@ -70,7 +70,7 @@ impl<'x> ScxmlReader<'x, '_> {
             self.error(node, "`<send>` needs an `event`");
             return None;
         };
-        Some(Action::Send(Send {
+        Some(ScxmlAction::Send(ScxmlSend {
             line: self.line(node),
             event,
             target: self.text(node, "target", "targetexpr"),
@@ -102,13 +102,13 @@ impl<'x> ScxmlReader<'x, '_> {
     }
 
     /// One value: an expression, JSON, or a text in which white space becomes single spaces.
-    fn content(&mut self, node: Node<'x, 'x>) -> Option<Content> {
+    fn content(&mut self, node: Node<'x, 'x>) -> Option<ScxmlContent> {
         if node.children().any(|child| child.is_element()) {
             self.error(node, "`<content>` with elements cannot be carried over: XML is no value here");
             return None;
         }
         if let Some(code) = self.code(node, "expr") {
-            return Some(Content::Expr(code));
+            return Some(ScxmlContent::Expr(code));
         }
         let text = node.text().unwrap_or("").trim();
         if text.is_empty() {
@@ -120,10 +120,10 @@ impl<'x> ScxmlReader<'x, '_> {
             self.error(node, format!("the JSON of `<content>` is nested deeper than {MAX_JSON} levels"));
             return None;
         }
-        Some(Content::Written(value))
+        Some(ScxmlContent::Written(value))
     }
 
-    fn choice(&mut self, node: Node<'x, 'x>, depth: usize) -> Action {
+    fn choice(&mut self, node: Node<'x, 'x>, depth: usize) -> ScxmlAction {
         let mut branches = vec![(self.condition(node), Vec::new())];
         for child in node.children() {
             let Some(name) = self.element(child) else { continue };
@@ -136,7 +136,7 @@ impl<'x> ScxmlReader<'x, '_> {
                 }
             }
         }
-        Action::If(branches)
+        ScxmlAction::If(branches)
     }
 
     fn condition(&mut self, node: Node<'x, 'x>) -> Option<Code> {

@@ -47,8 +47,8 @@ pub(super) struct ScxmlState {
     pub(super) initial: Option<ScxmlEntry>,
     pub(super) transitions: Vec<ScxmlTransition>,
     /// Each `<onentry>` is its own block: an error ends only its block.
-    pub(super) enter: Vec<Vec<Action>>,
-    pub(super) exit: Vec<Vec<Action>>,
+    pub(super) enter: Vec<Vec<ScxmlAction>>,
+    pub(super) exit: Vec<Vec<ScxmlAction>>,
     /// The data of a final state, with expressions.
     pub(super) data: Vec<(String, Code)>,
 }
@@ -64,7 +64,7 @@ pub(super) struct Code {
 pub(super) struct ScxmlEntry {
     pub(super) line: u32,
     pub(super) targets: Vec<String>,
-    pub(super) actions: Vec<Action>,
+    pub(super) actions: Vec<ScxmlAction>,
 }
 
 #[derive(Debug)]
@@ -75,16 +75,16 @@ pub(super) struct ScxmlTransition {
     pub(super) condition: Option<Code>,
     pub(super) targets: Vec<String>,
     pub(super) internal: bool,
-    pub(super) actions: Vec<Action>,
+    pub(super) actions: Vec<ScxmlAction>,
 }
 
 #[derive(Debug)]
-pub(super) enum Action {
+pub(super) enum ScxmlAction {
     Raise(String),
-    Send(Send),
+    Send(ScxmlSend),
     Cancel(Text),
     Log { label: Option<String>, expr: Option<Code> },
-    If(Vec<(Option<Code>, Vec<Action>)>),
+    If(Vec<(Option<Code>, Vec<ScxmlAction>)>),
 }
 
 /// A literal text, or an expression that gives one.
@@ -95,7 +95,7 @@ pub(super) enum Text {
 }
 
 #[derive(Debug)]
-pub(super) struct Send {
+pub(super) struct ScxmlSend {
     pub(super) line: u32,
     pub(super) event: Text,
     pub(super) target: Option<Text>,
@@ -109,11 +109,11 @@ pub(super) struct Send {
 #[derive(Debug, Default)]
 pub(super) struct Payload {
     pub(super) fields: Vec<(String, Code)>,
-    pub(super) content: Option<Content>,
+    pub(super) content: Option<ScxmlContent>,
 }
 
 #[derive(Debug)]
-pub(super) enum Content {
+pub(super) enum ScxmlContent {
     Expr(Code),
     /// JSON or a text.
     Written(serde_json::Value),

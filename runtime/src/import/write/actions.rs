@@ -1,31 +1,31 @@
 //! Writes executable content as actions of the language. What cannot be sent becomes the error event that SCXML
 //! names.
 
-use super::{Writer, value_of};
-use crate::import::read::{Action, Code, Content, Index, Send};
+use super::{ChartWriter, value_of};
+use crate::import::read::{Code, Index, ScxmlAction, ScxmlContent, ScxmlSend};
 use crate::import::yaml::{comment, json, quoted, scalar};
 
-impl Writer<'_> {
+impl ChartWriter<'_> {
     /// Writes one block. Actions after one that always fails are left out, as SCXML does not run them.
-    pub(super) fn actions(&mut self, at: Index, actions: &[Action], indent: usize) {
+    pub(super) fn actions(&mut self, at: Index, actions: &[ScxmlAction], indent: usize) {
         for action in actions {
             match action {
-                Action::Raise(event) => {
+                ScxmlAction::Raise(event) => {
                     let event = scalar(&self.event(event));
                     self.line(indent, &format!("- raise: {event}"));
                 }
-                Action::Send(send) => {
+                ScxmlAction::Send(send) => {
                     if !self.send(at, send, indent) {
                         return;
                     }
                 }
-                Action::Cancel(id) => {
+                ScxmlAction::Cancel(id) => {
                     if let Some(id) = self.text(at, id) {
                         self.line(indent, &format!("- cancel: {}", scalar(&id)));
                     }
                 }
-                Action::Log { label, expr } => self.log(at, label.as_deref(), expr.as_ref(), indent),
-                Action::If(branches) => self.choice(at, branches, indent),
+                ScxmlAction::Log { label, expr } => self.log(at, label.as_deref(), expr.as_ref(), indent),
+                ScxmlAction::If(branches) => self.choice(at, branches, indent),
             }
         }
     }
@@ -44,7 +44,7 @@ impl Writer<'_> {
         self.line(indent, &format!("- log: {}", quoted(&text)));
     }
 
-    fn choice(&mut self, at: Index, branches: &[(Option<Code>, Vec<Action>)], indent: usize) {
+    fn choice(&mut self, at: Index, branches: &[(Option<Code>, Vec<ScxmlAction>)], indent: usize) {
         let Some(((condition, actions), rest)) = branches.split_first() else { return };
         let Some(condition) = condition else {
             // `else`: its actions are written in place.
@@ -73,14 +73,14 @@ impl Writer<'_> {
     }
 
     /// Returns whether the actions after it are run.
-    fn send(&mut self, at: Index, send: &Send, indent: usize) -> bool {
+    fn send(&mut self, at: Index, send: &ScxmlSend, indent: usize) -> bool {
         let Some(event) = self.text(at, &send.event) else { return true };
         let event = self.event(event.trim());
         let target = send.target.as_ref().and_then(|t| self.text(at, t));
         let kind = send.kind.as_ref().and_then(|t| self.text(at, t));
         let data = match &send.data.content {
-            Some(Content::Written(value)) => Some(json(value)),
-            Some(Content::Expr(code)) => self.expression(at, code).map(|value| value_of(&value)),
+            Some(ScxmlContent::Written(value)) => Some(json(value)),
+            Some(ScxmlContent::Expr(code)) => self.expression(at, code).map(|value| value_of(&value)),
             None if send.data.fields.is_empty() => None,
             None => Some(self.fields(at, &send.data.fields)),
         };

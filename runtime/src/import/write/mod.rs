@@ -5,7 +5,7 @@ mod actions;
 use std::collections::BTreeSet;
 
 use super::ImportError;
-use super::expression::{self, Expr, Scope};
+use super::expression::{self, Expr, ScxmlScope};
 use super::names::{ScxmlNames, ancestors};
 use super::read::{Code, Document, Index, ScxmlEntry, ScxmlKind, ScxmlState, ScxmlTransition, Text};
 use super::yaml::{cel_string, comment, literal, quoted, scalar};
@@ -15,19 +15,19 @@ const KNOWN: [&str; 2] = ["error.execution", "error.communication"];
 
 /// Writes the chart. What cannot be converted is appended to `errors`.
 pub(super) fn chart(document: &Document, names: &ScxmlNames, errors: &mut Vec<ImportError>) -> String {
-    let mut writer = Writer { document, names, errors, out: String::new() };
+    let mut writer = ChartWriter { document, names, errors, out: String::new() };
     writer.chart();
     writer.out
 }
 
-struct Writer<'d> {
+struct ChartWriter<'d> {
     document: &'d Document,
     names: &'d ScxmlNames,
     errors: &'d mut Vec<ImportError>,
     out: String,
 }
 
-impl Writer<'_> {
+impl ChartWriter<'_> {
     fn error(&mut self, line: u32, message: impl Into<String>) {
         self.errors.push(ImportError { line, message: message.into() });
     }
@@ -301,7 +301,7 @@ impl Writer<'_> {
     fn expression(&mut self, at: Index, code: &Code) -> Option<Expr> {
         let (document, names) = (self.document, self.names);
         let path = |id: &str| names.find(id).map(|state| names.path(document, at, state));
-        let scope = Scope { chart: &names.chart, path: &path };
+        let scope = ScxmlScope { chart: &names.chart, path: &path };
         match expression::parse(&code.text, &scope) {
             Ok(expr) => Some(expr),
             Err(error) => {

@@ -32,7 +32,7 @@ pub(super) struct Messages {
 }
 
 /// A message with an image or a frame.
-pub(super) struct Message {
+pub(super) struct FrameMessage {
     pub(super) topic: String,
     schema: String,
     pub(super) stamp_ns: u64,
@@ -66,7 +66,7 @@ impl Messages {
     }
 
     /// The next image; `None` at the end.
-    pub(super) fn next(&mut self) -> Result<Option<Message>, mcap::McapError> {
+    pub(super) fn next(&mut self) -> Result<Option<FrameMessage>, mcap::McapError> {
         while let Some(event) = self.reader.next_event() {
             let (opcode, data) = match event? {
                 LinearReadEvent::ReadRequest(wanted) => {
@@ -96,7 +96,7 @@ impl Messages {
                     if let Some((topic, schema)) = self.channels.get(&header.channel_id) {
                         let (topic, schema) = (topic.clone(), schema.clone());
                         let (stamp_ns, data) = (header.log_time, data.into_owned());
-                        return Ok(Some(Message { topic, schema, stamp_ns, data }));
+                        return Ok(Some(FrameMessage { topic, schema, stamp_ns, data }));
                     }
                 }
                 _ => {}
@@ -110,7 +110,7 @@ impl Messages {
         &mut self,
         path: &Path,
         at_beginning: bool,
-    ) -> Result<Option<Message>, RecordingError> {
+    ) -> Result<Option<FrameMessage>, RecordingError> {
         match self.next() {
             Err(source) if at_beginning => Err(RecordingError::Mcap { path: path.into(), source }),
             next => Ok(next.unwrap_or_default()),
@@ -118,7 +118,7 @@ impl Messages {
     }
 }
 
-impl Message {
+impl FrameMessage {
     /// The provider's name, or else the topic.
     pub(super) fn provider(&self) -> &str {
         self.topic.strip_prefix("/image/").unwrap_or(&self.topic)

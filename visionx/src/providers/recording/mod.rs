@@ -19,7 +19,7 @@ use super::files::{Pace, seconds};
 use super::{ImageDescription, ImageProvider, ProviderDescription, RawFrame};
 use crate::frame::ImageError;
 pub(super) use messages::MAX_RECORD_BYTES;
-use messages::{Message, Messages};
+use messages::{FrameMessage, Messages};
 
 /// The schema of packed frames in a recording.
 pub(super) const SCHEMA: &str = "armarium.image.PackedFrame.v1";
@@ -75,10 +75,10 @@ pub struct RecordingProvider {
     topic: String,
     description: ProviderDescription,
     pace: Pace,
-    state: Mutex<Play>,
+    state: Mutex<Playback>,
 }
 
-struct Play {
+struct Playback {
     /// The file; `None` while a message is being read, and at the end.
     messages: Option<Messages>,
     began: Option<Instant>,
@@ -116,13 +116,20 @@ impl RecordingProvider {
         let (topic, description) = found
             .unwrap_or_else(|error| Err(RecordingError::File { path: path.into(), source: error.into() }))?;
         let messages = Some(Messages::open(path)?);
-        let play =
-            Play { messages, began: None, first_ns: 0, shift_ns: 0, last_ns: 0, number: 0, since_begin: 0 };
+        let play = Playback {
+            messages,
+            began: None,
+            first_ns: 0,
+            shift_ns: 0,
+            last_ns: 0,
+            number: 0,
+            since_begin: 0,
+        };
         Ok(Self { path: path.into(), topic, description, pace, state: Mutex::new(play) })
     }
 
     /// Reads the next message on a blocking thread.
-    async fn message(&self, play: &mut Play) -> Option<Message> {
+    async fn message(&self, play: &mut Playback) -> Option<FrameMessage> {
         loop {
             let mut messages = play.messages.take()?;
             let topic = self.topic.clone();
@@ -176,7 +183,7 @@ fn find(path: &Path, wanted: Option<&str>) -> Result<(String, ProviderDescriptio
 }
 
 /// The description of a topic that is known only by its first message.
-fn describe(name: &str, first: Message) -> ProviderDescription {
+fn describe(name: &str, first: FrameMessage) -> ProviderDescription {
     let images = first.frame().map(|frame| frame.images).unwrap_or_default();
     ProviderDescription {
         name: name.trim_start_matches('/').replace('/', "_"),

@@ -28,12 +28,12 @@ pub struct Rectification {
     calibration: StereoCalibration,
     /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
     left_from_rectified: UnitQuaternion<f64>,
-    eyes: [Vec<Source>; 2],
+    eyes: [Vec<SourcePixel>; 2],
 }
 
 /// The source of a pixel.
 #[derive(Clone, Copy, Debug)]
-struct Source {
+struct SourcePixel {
     /// The upper left of the four source pixels; [`NOTHING`] outside of the image.
     at: u32,
     /// Interpolation weights of the next column and row, of 256.
@@ -93,7 +93,7 @@ impl Rectification {
     }
 
     /// Bilinear interpolation.
-    fn image(&self, image: &RgbImage, sources: &[Source]) -> Option<RgbImage> {
+    fn image(&self, image: &RgbImage, sources: &[SourcePixel]) -> Option<RgbImage> {
         let PinholeCamera { width, height, .. } = self.calibration.camera;
         if (image.width(), image.height()) != (width, height) {
             return None;
@@ -124,7 +124,7 @@ impl Rectification {
         if (depth.width, depth.height) != (width, height) || depth.data.len() != self.eyes[0].len() {
             return None;
         }
-        let nearest = |source: &Source| {
+        let nearest = |source: &SourcePixel| {
             if source.at == NOTHING {
                 return 0.0;
             }
@@ -168,10 +168,10 @@ fn table(
     eye: &CameraModel,
     camera_from_rectified: &UnitQuaternion<f64>,
     ideal: &PinholeCamera,
-) -> Vec<Source> {
+) -> Vec<SourcePixel> {
     let reach = reach(eye);
     let last = [f64::from(ideal.width - 1), f64::from(ideal.height - 1)];
-    let source = |x: u32, y: u32| -> Option<Source> {
+    let source = |x: u32, y: u32| -> Option<SourcePixel> {
         let ray = camera_from_rectified * ideal.ray(&Point2::new(f64::from(x), f64::from(y)));
         let plane = Point2::new(ray.x / ray.z, ray.y / ray.z);
         if ray.z <= 1e-6 || plane.coords.norm() >= reach {
@@ -186,9 +186,9 @@ fn table(
         let corner = [0, 1].map(|i| px[i].floor().min(last[i] - 1.0));
         let part = [0, 1].map(|i| ((px[i] - corner[i]) * 256.0).round() as u16);
         let at = corner[1] as u32 * ideal.width + corner[0] as u32;
-        Some(Source { at, part, depth: (1.0 / ray.z) as f32 })
+        Some(SourcePixel { at, part, depth: (1.0 / ray.z) as f32 })
     };
-    let nothing = Source { at: NOTHING, part: [0; 2], depth: 0.0 };
+    let nothing = SourcePixel { at: NOTHING, part: [0; 2], depth: 0.0 };
     let pixels = Region::whole(ideal.width, ideal.height).pixels();
     pixels.map(|(x, y)| source(x, y).unwrap_or(nothing)).collect()
 }
