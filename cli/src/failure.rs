@@ -9,7 +9,7 @@ use crate::console;
 
 /// Why a command ends early.
 #[derive(Debug)]
-pub(crate) enum Failure {
+pub(crate) enum CommandFailure {
     /// It cannot be done: status 1.
     Refused(String),
     /// An argument or a file is wrong: status 2.
@@ -22,7 +22,7 @@ pub(crate) enum Failure {
     Output(io::Error),
 }
 
-impl Failure {
+impl CommandFailure {
     /// Says why. Returns the exit status.
     pub(crate) fn say(self, out: &mut dyn Write) -> io::Result<u8> {
         match self {
@@ -35,19 +35,19 @@ impl Failure {
     }
 }
 
-impl From<io::Error> for Failure {
+impl From<io::Error> for CommandFailure {
     fn from(error: io::Error) -> Self {
         Self::Output(error)
     }
 }
 
-impl From<String> for Failure {
+impl From<String> for CommandFailure {
     fn from(what: String) -> Self {
         Self::Argument(what)
     }
 }
 
-impl From<Vec<Finding>> for Failure {
+impl From<Vec<Finding>> for CommandFailure {
     fn from(findings: Vec<Finding>) -> Self {
         Self::Findings(findings)
     }

@@ -12,7 +12,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use crate::console::show as render;
 use crate::described::described;
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::robot_service::{self, RobotServeArgs, RobotTestArgs, ScaleArgs};
 
 #[derive(Clone, Debug, clap::Args)]
@@ -77,7 +77,7 @@ pub(crate) fn run(args: &RobotArgs, out: &mut dyn Write) -> io::Result<u8> {
     carry_out(&args.command, out).or_else(|failure| failure.say(out))
 }
 
-fn carry_out(command: &RobotCommand, out: &mut dyn Write) -> Result<u8, Failure> {
+fn carry_out(command: &RobotCommand, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     match command {
         RobotCommand::New { urdf, out: folder, semantics, packages, force } => {
             new((urdf, semantics.as_deref()), folder.as_deref(), packages, *force, out)
@@ -99,7 +99,7 @@ fn new(
     packages: &[PathBuf],
     force: bool,
     out: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     let folder = folder.or(urdf.parent()).unwrap_or(Path::new("")).to_owned();
     let text = description::guessed(urdf, semantics, &folder, packages)?;
     let file = folder.join("robot.yaml");
@@ -127,7 +127,7 @@ fn show(
     picture: Option<&Path>,
     posture: Option<&str>,
     out: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     writeln!(out, "{}: {} links, {} joints", model.name(), model.links().len(), model.joints().len())?;
     for limb in model.limbs().values() {
         writeln!(out, "  {}", limb.name)?;

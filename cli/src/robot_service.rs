@@ -13,7 +13,7 @@ use armarium_robot::{Guard, GuardConfig, JointKind, Model, RemoteRobot, Robot, c
 use crate::connection_args::{ConnectionArgs, LiveArgs, explained};
 use crate::console::Terminal;
 use crate::described::described;
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::stopped::stopped;
 
 /// By what name this program asks for a robot, unless it is told another one.
@@ -93,7 +93,7 @@ pub(crate) struct ScaleArgs {
 }
 
 /// Serves until Ctrl-C. Returns the exit status.
-pub(crate) fn serve(args: &RobotServeArgs) -> Result<u8, Failure> {
+pub(crate) fn serve(args: &RobotServeArgs) -> Result<u8, CommandFailure> {
     let Description { model, .. } = described(&args.robot, &[])?;
     let offered = args.offered.clone().unwrap_or_else(|| args.driver.clone());
     let access = Access {
@@ -119,11 +119,11 @@ pub(crate) fn serve(args: &RobotServeArgs) -> Result<u8, Failure> {
             failed = service.serve(connection.session(), &console) => failed,
         }
     });
-    served.map(|()| 0).map_err(Failure::Host)
+    served.map(|()| 0).map_err(CommandFailure::Host)
 }
 
 /// Says what will be done, and with `--moves` does it. Returns the exit status: 1 when a rule is broken.
-pub(crate) fn test(args: &RobotTestArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(crate) fn test(args: &RobotTestArgs, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     let Description { model, .. } = described(&args.robot, &[])?;
     let limbs: Vec<String> = match args.limb.as_slice() {
         [] => model.arms().map(|arm| arm.name.clone()).collect(),
@@ -139,7 +139,7 @@ pub(crate) fn test(args: &RobotTestArgs, out: &mut dyn Write) -> Result<u8, Fail
         return Ok(0);
     }
     let connection = connect(&args.connection, None)?;
-    let status = check(args, &connection, &model, &limbs, out).map_err(Failure::Host)?;
+    let status = check(args, &connection, &model, &limbs, out).map_err(CommandFailure::Host)?;
     Ok(status?)
 }
 
@@ -223,13 +223,13 @@ async fn judge(robot: &Arc<dyn Robot>, limbs: &[String], out: &mut dyn Write) ->
 }
 
 /// Sets the speed scale of a robot. Returns the exit status.
-pub(crate) fn scale(args: &ScaleArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(crate) fn scale(args: &ScaleArgs, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     let Description { model, .. } = described(&args.robot, &[])?;
     let connection = connect(&args.connection, None)?;
     let Address { agent, name } = &args.at;
     let robot = RemoteRobot::connect(connection.session(), (agent, name), &model, &args.name);
     let set = connection.runtime().block_on(robot).and_then(|robot| robot.set_speed_scale(args.factor));
-    set.map_err(|error| Failure::Host(error.into()))?;
+    set.map_err(|error| CommandFailure::Host(error.into()))?;
     writeln!(out, "{agent}/{name} moves at {} of what is commanded", args.factor)?;
     Ok(0)
 }

@@ -5,7 +5,7 @@ use std::io::Write;
 use armarium_visionx::{EpipolarCheck, ImageError};
 use serde_json::json;
 
-use super::{CalibrateArgs, Failure, failed, source};
+use super::{CalibrateArgs, ImageFailure, failed, source};
 use armarium_host::Connection;
 
 /// Largest accepted row difference, px, median.
@@ -19,7 +19,7 @@ pub(super) async fn run(
     args: &CalibrateArgs,
     connection: &Connection,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     let (source, described, pair) = source::open_pair(&args.source, connection).await?;
     let calibration = pair.calibration();
     let mut check = EpipolarCheck::default();

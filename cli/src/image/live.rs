@@ -20,7 +20,7 @@ use async_trait::async_trait;
 use serde_json::{Value as Json, json};
 use tokio::sync::mpsc;
 
-use super::{Failure, ProcessArgs, argument, failed, source};
+use super::{ImageFailure, ProcessArgs, argument, failed, source};
 use crate::stopped::stopped;
 use armarium_host::Connection;
 use parking_lot::Mutex;
@@ -104,7 +104,7 @@ pub(super) async fn run(
     args: &ProcessArgs,
     connection: &Connection,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     let (source, described, pair) = source::open_pair(&args.source, connection).await?;
     let trigger = match args.rate {
         None => Trigger::Next,
@@ -186,7 +186,7 @@ async fn tell(
     mut told: mpsc::Receiver<Queued>,
     remembers: Option<Updater>,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     while let Some((by, seen)) = told.recv().await {
         writeln!(out, "{}", line(&by, &seen.observations))?;
         if let Some(updater) = &remembers {

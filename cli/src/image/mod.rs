@@ -184,7 +184,7 @@ pub(crate) struct ProcessArgs {
 }
 
 /// Why a command fails.
-pub(crate) enum Failure {
+pub(crate) enum ImageFailure {
     /// An argument or file is invalid: exit status 2.
     Argument(String),
     /// The operation failed: exit status 1.
@@ -218,8 +218,8 @@ pub(crate) fn run(args: &ImageArgs, out: &mut dyn Write, err: &mut dyn Write) ->
     };
     match connection.runtime().block_on(doing) {
         Ok(()) => Ok(0),
-        Err(Failure::Argument(message)) => writeln!(err, "error: {message}").map(|()| 2),
-        Err(Failure::Failed(message)) => writeln!(err, "error: {message}").map(|()| 1),
+        Err(ImageFailure::Argument(message)) => writeln!(err, "error: {message}").map(|()| 2),
+        Err(ImageFailure::Failed(message)) => writeln!(err, "error: {message}").map(|()| 1),
     }
 }
 
@@ -237,21 +237,21 @@ impl ImageArgs {
     }
 }
 
-impl From<io::Error> for Failure {
+impl From<io::Error> for ImageFailure {
     fn from(error: io::Error) -> Self {
         Self::Failed(error.to_string())
     }
 }
 
-pub(crate) fn argument(error: impl std::fmt::Display) -> Failure {
-    Failure::Argument(error.to_string())
+pub(crate) fn argument(error: impl std::fmt::Display) -> ImageFailure {
+    ImageFailure::Argument(error.to_string())
 }
 
-pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
-    Failure::Failed(error.to_string())
+pub(crate) fn failed(error: impl std::fmt::Display) -> ImageFailure {
+    ImageFailure::Failed(error.to_string())
 }
 
-async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Result<(), Failure> {
+async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Result<(), ImageFailure> {
     let found = providers(connection.session(), None, None, DISCOVERY_TIME).await.map_err(failed)?;
     if found.is_empty() && !args.json {
         let hint =

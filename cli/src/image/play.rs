@@ -4,7 +4,7 @@ use std::io::Write;
 
 use armarium_visionx::providers::{Pace, offer};
 
-use super::{Failure, PlayArgs, argument, failed, source};
+use super::{ImageFailure, PlayArgs, argument, failed, source};
 use crate::stopped::stopped;
 use armarium_host::Connection;
 
@@ -13,7 +13,7 @@ pub(super) async fn run(
     args: &PlayArgs,
     connection: &Connection,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     if !(args.speed.is_finite() && args.speed > 0.0 && args.rate.is_finite() && args.rate > 0.0) {
         return Err(argument("--speed and --rate are greater than 0"));
     }

@@ -10,7 +10,7 @@ use armarium_visionx::providers::{
 };
 use tokio::sync::mpsc;
 
-use super::{Failure, RecordArgs, argument, failed, source};
+use super::{ImageFailure, RecordArgs, argument, failed, source};
 use crate::stopped::stopped;
 use armarium_host::Connection;
 
@@ -22,7 +22,7 @@ pub(super) async fn run(
     args: &RecordArgs,
     connection: &Connection,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     if args.output.exists() && !args.force {
         let shown = args.output.display();
         return Err(argument(format!(
@@ -60,7 +60,7 @@ pub(super) async fn run(
         }
         Ok(())
     };
-    let written: Result<(), Failure> = tokio::select! {
+    let written: Result<(), ImageFailure> = tokio::select! {
         biased;
         () = stopped() => Ok(()),
         written = tokio::time::timeout(until, writing) => written.unwrap_or(Ok(())),

@@ -10,7 +10,7 @@ use armarium_visionx::providers::{
     RemoteError, RemoteProvider, StereoPair,
 };
 
-use super::{Failure, SourceArgs, argument, failed};
+use super::{ImageFailure, SourceArgs, argument, failed};
 use armarium_host::Connection;
 
 const PROVIDER_TIMEOUT: Duration = Duration::from_secs(10);
@@ -32,7 +32,7 @@ pub(super) async fn open(
     connection: &Connection,
     coding: ImageCoding,
     speed: Option<f64>,
-) -> Result<OpenedProvider, Failure> {
+) -> Result<OpenedProvider, ImageFailure> {
     let delivery = Delivery::Newest;
     if Path::new(&args.source).exists() {
         let pace = Pace { speed, repeat: false };
@@ -48,7 +48,7 @@ pub(super) async fn open(
 pub(super) async fn open_pair(
     args: &SourceArgs,
     connection: &Connection,
-) -> Result<(OpenedProvider, ProviderDescription, StereoPair), Failure> {
+) -> Result<(OpenedProvider, ProviderDescription, StereoPair), ImageFailure> {
     let source = open(args, connection, ImageCoding::Raw, None).await?;
     let described = source.provider.description();
     let pair = StereoPair::of(&described);
@@ -70,7 +70,7 @@ pub(super) async fn remote(
     connection: &Connection,
     delivery: Delivery,
     coding: ImageCoding,
-) -> Result<RemoteProvider, Failure> {
+) -> Result<RemoteProvider, ImageFailure> {
     let file = Path::new(name).extension().is_some_and(|e| ENDINGS.iter().any(|ending| e == *ending));
     let parts = name.split_once('/').filter(|(a, p)| !file && !a.is_empty() && !p.is_empty());
     let Some((agent, provider)) = parts else {
@@ -94,7 +94,7 @@ pub(super) async fn file(
     topic: Option<&str>,
     rate_hz: f64,
     pace: Pace,
-) -> Result<Arc<dyn ImageProvider>, Failure> {
+) -> Result<Arc<dyn ImageProvider>, ImageFailure> {
     match (files.iter().find(|file| file.extension().is_some_and(|e| e == "mcap")), files) {
         (Some(recording), [_]) => {
             return Ok(Arc::new(RecordingProvider::open(recording, topic, pace).await.map_err(argument)?));
@@ -121,13 +121,13 @@ pub(super) async fn file(
 const CAMERA: (u32, u32) = (640, 480);
 
 #[cfg(feature = "camera")]
-fn camera(device: &Path, name: &str) -> Result<Arc<dyn ImageProvider>, Failure> {
+fn camera(device: &Path, name: &str) -> Result<Arc<dyn ImageProvider>, ImageFailure> {
     let camera = armarium_visionx::providers::CameraProvider::open(device, name, CAMERA);
     Ok(Arc::new(camera.map_err(|e| argument(format!("{}: {e}", device.display())))?))
 }
 
 #[cfg(not(feature = "camera"))]
-fn camera(device: &Path, _: &str) -> Result<Arc<dyn ImageProvider>, Failure> {
+fn camera(device: &Path, _: &str) -> Result<Arc<dyn ImageProvider>, ImageFailure> {
     let device = device.display();
     Err(argument(format!(
         "{device}: this program was built without cameras; build it with `--features camera`"

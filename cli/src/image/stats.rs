@@ -7,7 +7,7 @@ use armarium_visionx::ImageError;
 use armarium_visionx::providers::ImageCoding;
 use serde_json::json;
 
-use super::{Failure, StatsArgs, argument, source};
+use super::{ImageFailure, StatsArgs, argument, source};
 use armarium_host::Connection;
 use tokio::time::Instant;
 
@@ -18,7 +18,7 @@ pub(super) async fn run(
     args: &StatsArgs,
     connection: &Connection,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     let span = Duration::try_from_secs_f64(args.seconds).map_err(|_| argument("--seconds is at least 0"))?;
     let source = source::open(&args.source, connection, ImageCoding::Raw, None).await?;
     let (mut frames, mut bytes, mut spoilt, mut sizes) = (0u64, 0usize, 0u64, Vec::new());

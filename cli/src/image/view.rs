@@ -11,7 +11,7 @@ use armarium_visionx::providers::{ImageCoding, RawFrame};
 use armarium_viewer::image_page;
 use tokio::net::TcpListener;
 
-use super::{Failure, ImageViewArgs, argument, failed, source};
+use super::{ImageFailure, ImageViewArgs, argument, failed, source};
 use crate::stopped::stopped;
 use armarium_host::Connection;
 
@@ -20,7 +20,7 @@ pub(super) async fn run(
     args: &ImageViewArgs,
     connection: &Connection,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), ImageFailure> {
     let coding = if args.jpeg { ImageCoding::Jpeg } else { ImageCoding::Raw };
     // The page plays files at their own speed; writing PNG files needs no waiting.
     let speed = args.png.is_none().then_some(1.0);
@@ -51,7 +51,7 @@ pub(super) async fn run(
     }
 }
 
-async fn show(source: source::OpenedProvider, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
+async fn show(source: source::OpenedProvider, port: u16, out: &mut dyn Write) -> Result<(), ImageFailure> {
     let listener = TcpListener::bind(("127.0.0.1", port)).await;
     let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
     let address = listener.local_addr().map_err(failed)?;
@@ -66,7 +66,7 @@ async fn show(source: source::OpenedProvider, port: u16, out: &mut dyn Write) ->
 }
 
 /// Writes the images of a frame; returns their number.
-fn write(folder: &Path, frame: &RawFrame, out: &mut dyn Write) -> Result<u64, Failure> {
+fn write(folder: &Path, frame: &RawFrame, out: &mut dyn Write) -> Result<u64, ImageFailure> {
     let mut written = 0;
     for image in &frame.images {
         // A role may come from another process, and must not name a folder.

@@ -8,7 +8,7 @@ use armarium_values::Value;
 use serde_json::json;
 
 use super::reach::{OpenedMemory, wall_clock_ns};
-use super::{Failure, MemoryArgs};
+use super::{CommandFailure, MemoryArgs};
 
 /// What is followed of another agent.
 #[derive(Default)]
@@ -24,9 +24,9 @@ pub(super) async fn lag(
     reached: &OpenedMemory,
     args: &MemoryArgs,
     out: &mut dyn Write,
-) -> Result<bool, Failure> {
+) -> Result<bool, CommandFailure> {
     let OpenedMemory::Agent { session, .. } = reached else {
-        return Err(Failure::Argument(
+        return Err(CommandFailure::Argument(
             "only a running agent follows others: give --agent instead of --store".into(),
         ));
     };

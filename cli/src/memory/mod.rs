@@ -11,7 +11,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use crate::connection_args::{ConnectionArgs, explained};
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::{logging, warnings};
 
 pub(crate) mod keep;
@@ -50,7 +50,7 @@ pub(crate) struct MemoryArgs {
 
 impl MemoryArgs {
     /// Checks that no option needs a running agent, when a file is named.
-    fn only_a_file(&self) -> Result<(), Failure> {
+    fn only_a_file(&self) -> Result<(), CommandFailure> {
         let wrong = if matches!(self.command, MemoryCommand::Watch(_)) {
             "watch: a file that no agent has open does not change"
         } else if self.agent != LOCAL || self.writer.is_some() {
@@ -60,7 +60,7 @@ impl MemoryArgs {
         } else {
             return Ok(());
         };
-        Err(Failure::Argument(format!("{wrong}: leave one of them out")))
+        Err(CommandFailure::Argument(format!("{wrong}: leave one of them out")))
     }
 }
 
@@ -323,7 +323,7 @@ struct RetainArgs {
     megabytes: Option<f64>,
 }
 
-impl From<armarium_bus::SessionError> for Failure {
+impl From<armarium_bus::SessionError> for CommandFailure {
     fn from(error: armarium_bus::SessionError) -> Self {
         use armarium_bus::SessionError;
         match &error {
@@ -335,7 +335,7 @@ impl From<armarium_bus::SessionError> for Failure {
     }
 }
 
-impl From<armarium_host::HostError> for Failure {
+impl From<armarium_host::HostError> for CommandFailure {
     fn from(error: armarium_host::HostError) -> Self {
         match error {
             armarium_host::HostError::Session(error) => error.into(),
@@ -345,7 +345,7 @@ impl From<armarium_host::HostError> for Failure {
     }
 }
 
-impl From<armarium_memoryx::MemoryError> for Failure {
+impl From<armarium_memoryx::MemoryError> for CommandFailure {
     fn from(error: armarium_memoryx::MemoryError) -> Self {
         use armarium_memoryx::MemoryError;
         match &error {
@@ -355,7 +355,7 @@ impl From<armarium_memoryx::MemoryError> for Failure {
     }
 }
 
-impl From<armarium_memoryx::StoreError> for Failure {
+impl From<armarium_memoryx::StoreError> for CommandFailure {
     fn from(error: armarium_memoryx::StoreError) -> Self {
         match &error {
             armarium_memoryx::StoreError::Locked { .. } => Self::Refused(format!(
@@ -374,7 +374,7 @@ pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write
     let serves = matches!(args.command, MemoryCommand::Serve(_));
     let done = match if serves { logging::install_dated() } else { warnings::show() } {
         Ok(()) => runtime.block_on(work::carry_out(args, out)),
-        Err(what) => Err(Failure::Argument(what)),
+        Err(what) => Err(CommandFailure::Argument(what)),
     };
     let status = done.or_else(|failure| failure.say(errors))?;
     // Tasks that still wait for the network end with the program.

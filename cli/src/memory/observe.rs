@@ -9,7 +9,7 @@ use armarium_values::Observation;
 use clap::Args;
 use tokio::sync::mpsc;
 
-use super::Failure;
+use super::CommandFailure;
 use super::reach::OpenedMemory;
 use crate::stopped::stopped;
 
@@ -30,7 +30,7 @@ pub(super) async fn observe(
     reached: OpenedMemory,
     args: &ObserveArgs,
     out: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     let (memory, _session): (Arc<dyn Memory>, _) = match reached {
         OpenedMemory::Agent { remote, session } => (Arc::new(remote), Some(session)),
         OpenedMemory::File { memory, .. } => (memory, None),
@@ -60,7 +60,7 @@ pub(super) async fn observe(
         if line.trim_ascii().is_empty() {
             continue;
         }
-        let wrong = |what: &dyn std::fmt::Display| Failure::Argument(format!("line {number}: {what}"));
+        let wrong = |what: &dyn std::fmt::Display| CommandFailure::Argument(format!("line {number}: {what}"));
         let json = serde_json::from_slice(&line).map_err(|error| wrong(&error))?;
         let seen = Observation::from_json(&json).map_err(|error| wrong(&error))?;
         for (id, version) in updater.update(&[seen]).await? {

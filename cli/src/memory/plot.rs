@@ -8,7 +8,7 @@ use armarium_viewer::report::{Curve, Panel, PanelRow, picture};
 
 use super::reach::OpenedMemory;
 use super::work::{id, unusable};
-use super::{Failure, PlotArgs};
+use super::{CommandFailure, PlotArgs};
 
 /// Height of the picture, px of 1000.
 const HEIGHT: f64 = 360.0;
@@ -18,9 +18,9 @@ pub(super) async fn plot(
     reached: &OpenedMemory,
     args: &PlotArgs,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), CommandFailure> {
     let (entity, attribute) = args.what.rsplit_once('.').ok_or_else(|| {
-        Failure::Argument(format!("`{}` is not SEGMENT/PROVIDER/ENTITY.ATTRIBUTE", args.what))
+        CommandFailure::Argument(format!("`{}` is not SEGMENT/PROVIDER/ENTITY.ATTRIBUTE", args.what))
     })?;
     let id = id(entity)?;
     let mut found: Vec<(u64, Vec<f64>)> = Vec::new();
@@ -33,7 +33,7 @@ pub(super) async fn plot(
     reached.each(Query::history(Pattern::entity(&id)).with_long_term(), read).await?;
     found.sort_by_key(|(time, _)| *time);
     let Some((first, parts)) = found.first() else {
-        return Err(Failure::Refused(format!(
+        return Err(CommandFailure::Refused(format!(
             "no version of `{id}` has a number, vector or pose `{attribute}`"
         )));
     };

@@ -9,7 +9,7 @@ use armarium_memoryx::{
     pages,
 };
 
-use super::{Failure, MemoryArgs, MemoryCommand};
+use super::{CommandFailure, MemoryArgs, MemoryCommand};
 
 /// Default listening endpoint of an agent.
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -22,12 +22,12 @@ pub(super) enum OpenedMemory {
 
 impl OpenedMemory {
     /// Opens the memory that the arguments name.
-    pub(super) async fn open(args: &MemoryArgs) -> Result<Self, Failure> {
+    pub(super) async fn open(args: &MemoryArgs) -> Result<Self, CommandFailure> {
         if let Some(file) = &args.store {
             args.only_a_file()?;
             let makes = matches!(args.command, MemoryCommand::Import { .. });
             if !makes && !file.exists() {
-                return Err(Failure::Argument(format!("there is no file `{}`", file.display())));
+                return Err(CommandFailure::Argument(format!("there is no file `{}`", file.display())));
             }
             let store = Arc::new(LongTermMemory::open(file)?);
             let memory = Arc::new(opened(&store)?);
@@ -46,7 +46,7 @@ impl OpenedMemory {
             MemoryError::Remote { .. } => {
                 let connect = connection.connect.join(" ");
                 let whom = args.writer.as_ref().map_or("", |_| " under that name");
-                Failure::Refused(format!(
+                CommandFailure::Refused(format!(
                     "{error}; is the agent running, does it listen at {connect}, and does it let you in{whom}?"
                 ))
             }
@@ -74,8 +74,8 @@ impl OpenedMemory {
     pub(super) async fn each(
         &self,
         query: Query,
-        mut act: impl FnMut(&Snapshot) -> Result<(), Failure>,
-    ) -> Result<u64, Failure> {
+        mut act: impl FnMut(&Snapshot) -> Result<(), CommandFailure>,
+    ) -> Result<u64, CommandFailure> {
         let mut count = 0;
         // The nearest are ordered by distance, and a bounded answer is one piece.
         if query.is_nearest() || query.most.is_some() {
@@ -95,7 +95,7 @@ impl OpenedMemory {
         Ok(count)
     }
 
-    pub(super) async fn maintain(&self, request: Maintain) -> Result<MaintenanceReport, Failure> {
+    pub(super) async fn maintain(&self, request: Maintain) -> Result<MaintenanceReport, CommandFailure> {
         match self {
             Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),
             Self::File { store, memory } => Ok(maintain::carry_out(request, Some(store), memory)?),
@@ -104,7 +104,7 @@ impl OpenedMemory {
 }
 
 /// A working memory on a file, with its newest snapshots. Its clock is the machine's.
-fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, Failure> {
+fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, CommandFailure> {
     let backing = Arc::clone(store) as Arc<dyn armarium_memoryx::Backing>;
     let memory = WorkingMemory::new(Arc::new(wall_clock_ns)).with_backing(backing);
     store.load_into(&memory, Pattern::any())?;

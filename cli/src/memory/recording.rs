@@ -13,7 +13,7 @@ use armarium_values::Value;
 use armarium_viewer::recorder::{Recorder, RecorderError};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
-use super::Failure;
+use super::CommandFailure;
 use super::reach::OpenedMemory;
 use super::show::json_of;
 
@@ -21,14 +21,18 @@ use super::show::json_of;
 const JPEG_QUALITY: u8 = 85;
 
 /// Records all snapshots that match, and returns how many.
-pub(super) async fn record(reached: &OpenedMemory, pattern: Pattern, path: &Path) -> Result<u64, Failure> {
-    let failed = |error: RecorderError| Failure::Refused(format!("`{}`: {error}", path.display()));
+pub(super) async fn record(
+    reached: &OpenedMemory,
+    pattern: Pattern,
+    path: &Path,
+) -> Result<u64, CommandFailure> {
+    let failed = |error: RecorderError| CommandFailure::Refused(format!("`{}`: {error}", path.display()));
     let mut recorder = Recorder::create(path, BTreeMap::new()).map_err(failed)?;
     let mut first: Option<Snapshot> = None;
-    let each = |snapshot: &Snapshot| -> Result<(), Failure> {
+    let each = |snapshot: &Snapshot| -> Result<(), CommandFailure> {
         let first = first.get_or_insert_with(|| snapshot.clone());
         if first.clock() != snapshot.clock() {
-            return Err(Failure::Argument(format!(
+            return Err(CommandFailure::Argument(format!(
                 "`{}` is of {}, `{}` of {}, which are not on one timeline: name a pattern of one of them",
                 first.id,
                 first.clock(),

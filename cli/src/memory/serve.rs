@@ -9,7 +9,7 @@ use armarium_memoryx::{
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
-use super::{Failure, Inferences, LOCAL, MemoryArgs, keep};
+use super::{CommandFailure, Inferences, LOCAL, MemoryArgs, keep};
 use crate::connection_args::AccessArgs;
 use crate::render_findings::lines;
 use crate::stopped::stopped;
@@ -46,11 +46,11 @@ pub(super) async fn serve(
     args: &MemoryArgs,
     serve: &MemoryServeArgs,
     out: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     if args.agent != LOCAL {
         let what =
             format!("--agent names a memory that runs already; one that is to run has --name {}", args.agent);
-        return Err(Failure::Argument(what));
+        return Err(CommandFailure::Argument(what));
     }
     let mut connection = args.connection.clone();
     if connection.listen.is_empty() {
@@ -62,18 +62,19 @@ pub(super) async fn serve(
     config.infer = serve.infer.iter().map(|what| what.inference()).collect();
     if let Some(folder) = &serve.prior {
         config.prior = PriorKnowledge::load(folder).map_err(|findings| {
-            Failure::Argument(format!("prior knowledge cannot be used:\n{}", lines(&findings)))
+            CommandFailure::Argument(format!("prior knowledge cannot be used:\n{}", lines(&findings)))
         })?;
     }
-    config.policies = serve.kept.policies(Policies::all(Policy::Everything)).map_err(Failure::Argument)?;
+    config.policies =
+        serve.kept.policies(Policies::all(Policy::Everything)).map_err(CommandFailure::Argument)?;
     if let (Some(option), None) = (serve.kept.given(), &args.store) {
-        return Err(Failure::Argument(format!(
+        return Err(CommandFailure::Argument(format!(
             "{option} says what a file keeps: name the file with --store"
         )));
     }
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;
-    config.retention = serve.kept.retention().map_err(Failure::Argument)?;
+    config.retention = serve.kept.retention().map_err(CommandFailure::Argument)?;
     config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect::<Result<_, _>>()?;
     let session = connection.session(access.as_ref()).await?;
     let _alive = take_name(&session, &serve.name).await?;
@@ -94,7 +95,7 @@ pub(super) async fn serve(
     Ok(0)
 }
 
-fn settings(serve: &MemoryServeArgs, follow: &str) -> Result<FollowSettings, Failure> {
+fn settings(serve: &MemoryServeArgs, follow: &str) -> Result<FollowSettings, CommandFailure> {
     let (agent, pattern) = match follow.split_once(':') {
         Some((agent, segment)) => (agent, Pattern::segment(segment)),
         None => (follow, Pattern::any()),

@@ -8,7 +8,7 @@ use armarium_memoryx::{Snapshot, TimeOf};
 use armarium_values::Value;
 use serde_json::{Value as Json, json};
 
-use super::Failure;
+use super::CommandFailure;
 
 /// Longest text of attributes in a row, characters.
 const MAX_WIDTH: usize = 72;
@@ -25,7 +25,7 @@ impl Printer {
     }
 
     /// One snapshot in one line.
-    pub(super) fn row(&mut self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), Failure> {
+    pub(super) fn row(&mut self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), CommandFailure> {
         if self.json {
             return Ok(writeln!(out, "{}", json_of(snapshot))?);
         }
@@ -48,12 +48,12 @@ impl Printer {
     }
 
     /// Prints the number of rows.
-    pub(super) fn end(&self, count: u64, what: &str, out: &mut dyn Write) -> Result<(), Failure> {
+    pub(super) fn end(&self, count: u64, what: &str, out: &mut dyn Write) -> Result<(), CommandFailure> {
         if self.json { Ok(()) } else { Ok(writeln!(out, "{count} {what}")?) }
     }
 
     /// One snapshot with all its data.
-    pub(super) fn whole(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), Failure> {
+    pub(super) fn whole(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), CommandFailure> {
         if self.json {
             return Ok(writeln!(out, "{}", json_of(snapshot))?);
         }
@@ -80,7 +80,11 @@ impl Printer {
         Ok(())
     }
 
-    pub(super) fn counts(&self, counts: &BTreeMap<String, u64>, out: &mut dyn Write) -> Result<(), Failure> {
+    pub(super) fn counts(
+        &self,
+        counts: &BTreeMap<String, u64>,
+        out: &mut dyn Write,
+    ) -> Result<(), CommandFailure> {
         if self.json {
             return Ok(writeln!(out, "{}", json!(counts))?);
         }
@@ -91,7 +95,11 @@ impl Printer {
     }
 
     /// The words of a report, then its numbers.
-    pub(super) fn words(&self, report: &MaintenanceReport, out: &mut dyn Write) -> Result<(), Failure> {
+    pub(super) fn words(
+        &self,
+        report: &MaintenanceReport,
+        out: &mut dyn Write,
+    ) -> Result<(), CommandFailure> {
         if self.json {
             return Ok(writeln!(out, "{}", json!({"counts": report.counts, "words": report.words}))?);
         }
@@ -107,7 +115,7 @@ impl Printer {
         before: &BTreeMap<String, u64>,
         now: &BTreeMap<String, u64>,
         out: &mut dyn Write,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), CommandFailure> {
         if !self.json {
             writeln!(out, "{:<32} {:>10} {:>14} {:>12}", "owner", "entities", "bytes", "updates/s")?;
         }
@@ -137,7 +145,7 @@ impl Printer {
         agent: &str,
         counts: &BTreeMap<String, u64>,
         out: &mut dyn Write,
-    ) -> Result<(), Failure> {
+    ) -> Result<(), CommandFailure> {
         let label = agent.replace('\\', r"\\").replace('"', "\\\"");
         for (name, count) in counts {
             let (kind, total) = if name.ends_with("updates") { ("counter", "_total") } else { ("gauge", "") };
@@ -148,7 +156,7 @@ impl Printer {
     }
 
     /// Prints how many changes were lost because printing was too slow.
-    pub(super) fn lagged(&self, count: u64, out: &mut dyn Write) -> Result<(), Failure> {
+    pub(super) fn lagged(&self, count: u64, out: &mut dyn Write) -> Result<(), CommandFailure> {
         if self.json {
             return Ok(writeln!(out, "{}", json!({ "missed": count }))?);
         }

@@ -18,15 +18,15 @@ use super::reach::OpenedMemory;
 use super::recording;
 use super::show::Printer;
 use super::{
-    ExportArgs, Failure, GetArgs, LOCAL, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand,
-    WatchArgs, keep, serve,
+    CommandFailure, ExportArgs, GetArgs, LOCAL, MemoryArgs, MemoryCommand, PutArgs, QueryArgs,
+    SnapshotCommand, WatchArgs, keep, serve,
 };
 use crate::stopped::stopped;
 
 /// Snapshots per import request.
 const BATCH: usize = 1000;
 
-pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     if let MemoryCommand::Serve(command) = &args.command {
         return serve::serve(args, command, out).await;
     }
@@ -89,7 +89,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
     Ok(0)
 }
 
-fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
+fn request(command: &MemoryCommand) -> Result<Maintain, CommandFailure> {
     Ok(match command {
         MemoryCommand::Snapshot(snapshot) => match &snapshot.command {
             SnapshotCommand::Save { name } => Maintain::Save { name: name.clone() },
@@ -102,14 +102,15 @@ fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
         MemoryCommand::Backup { name } => Maintain::BackUp { name: name.clone() },
         MemoryCommand::Verify => Maintain::Verify,
         MemoryCommand::Retain(retain) => {
-            let retention = keep::retention(retain.days, retain.megabytes).map_err(Failure::Argument)?;
+            let retention =
+                keep::retention(retain.days, retain.megabytes).map_err(CommandFailure::Argument)?;
             Maintain::Retain { age_ns: retention.age_ns, bytes: retention.bytes }
         }
         _ => Maintain::Stats,
     })
 }
 
-fn report_of(report: &MaintenanceReport, shown: &Printer, out: &mut dyn Write) -> Result<u8, Failure> {
+fn report_of(report: &MaintenanceReport, shown: &Printer, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     shown.counts(&report.counts, out)?;
     let damaged = report.counts.get("damaged").is_some_and(|count| *count > 0);
     if damaged {
@@ -120,10 +121,10 @@ fn report_of(report: &MaintenanceReport, shown: &Printer, out: &mut dyn Write) -
     Ok(u8::from(damaged))
 }
 
-fn pattern(text: &str) -> Result<Pattern, Failure> {
+fn pattern(text: &str) -> Result<Pattern, CommandFailure> {
     let parts: Vec<&str> = text.split('/').collect();
     if parts.len() > 3 || parts.iter().any(|part| part.is_empty()) {
-        return Err(Failure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY")));
+        return Err(CommandFailure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY")));
     }
     let part = |i: usize| parts.get(i).filter(|p| **p != "*").map(|p| (*p).to_owned());
     Ok(Pattern { segment: part(0), provider: part(1), entity: part(2) })
@@ -134,7 +135,7 @@ async fn get(
     get: &GetArgs,
     shown: &Printer,
     out: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     let id = id(&get.id)?;
     let times = match (get.at, get.before) {
         (Some(at), _) => Times::At(at),
@@ -147,19 +148,22 @@ async fn get(
     query.limit = get.limit;
     let count = reached.each(query, |s| shown.whole(s, out)).await?;
     if count == 0 {
-        return Err(Failure::Refused(format!("there is no entity `{id}` in memory")));
+        return Err(CommandFailure::Refused(format!("there is no entity `{id}` in memory")));
     }
     Ok(0)
 }
 
-async fn put(reached: &OpenedMemory, put: &PutArgs, args: &MemoryArgs) -> Result<u64, Failure> {
+async fn put(reached: &OpenedMemory, put: &PutArgs, args: &MemoryArgs) -> Result<u64, CommandFailure> {
     let id = id(&put.id)?;
     let mut attributes = BTreeMap::new();
     for set in &put.set {
-        let (name, text) =
-            set.split_once('=').ok_or_else(|| Failure::Argument(format!("`{set}` is not NAME=VALUE")))?;
+        let (name, text) = set
+            .split_once('=')
+            .ok_or_else(|| CommandFailure::Argument(format!("`{set}` is not NAME=VALUE")))?;
         if name.is_empty() || attributes.insert(name.to_owned(), value(name, text)?).is_some() {
-            return Err(Failure::Argument(format!("--set {set}: each attribute has a name, and one value")));
+            return Err(CommandFailure::Argument(format!(
+                "--set {set}: each attribute has a name, and one value"
+            )));
         }
     }
     if let Some(ttl) = put.ttl {
@@ -173,17 +177,17 @@ async fn put(reached: &OpenedMemory, put: &PutArgs, args: &MemoryArgs) -> Result
     match reached.memory().commit(vec![commit]).await {
         Ok(versions) => Ok(versions.first().copied().unwrap_or(0)),
         Err(error @ MemoryError::Forbidden { .. }) if args.writer.is_none() => {
-            Err(Failure::Refused(format!("{error}: say who you are with --as NAME")))
+            Err(CommandFailure::Refused(format!("{error}: say who you are with --as NAME")))
         }
         Err(error) => Err(error.into()),
     }
 }
 
 /// An address from the command line.
-pub(super) fn id(text: &str) -> Result<EntityId, Failure> {
+pub(super) fn id(text: &str) -> Result<EntityId, CommandFailure> {
     match text.split('/').collect::<Vec<_>>()[..] {
         [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
-        _ => Err(Failure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
+        _ => Err(CommandFailure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
     }
 }
 
@@ -191,7 +195,7 @@ pub(super) fn id(text: &str) -> Result<EntityId, Failure> {
 const KINDS: &str = "bool int float string duration bytes list map vector pose wrench reference";
 
 /// A value from the command line: with its kind, as plain JSON, or else as text.
-fn value(name: &str, text: &str) -> Result<Value, Failure> {
+fn value(name: &str, text: &str) -> Result<Value, CommandFailure> {
     let json = match serde_json::from_str::<serde_json::Value>(text) {
         Ok(json) => json,
         Err(_) => return Ok(Value::String(text.to_owned())),
@@ -199,7 +203,7 @@ fn value(name: &str, text: &str) -> Result<Value, Failure> {
     let kind = json.as_object().filter(|object| object.len() == 1).and_then(|object| object.keys().next());
     match kind.filter(|kind| KINDS.split(' ').any(|known| known == kind.as_str())) {
         Some(kind) => serde_json::from_value(json.clone())
-            .map_err(|error| Failure::Argument(format!("--set {name}: this is no {kind}: {error}"))),
+            .map_err(|error| CommandFailure::Argument(format!("--set {name}: this is no {kind}: {error}"))),
         None => Ok(Value::from_json(&json)),
     }
 }
@@ -209,7 +213,7 @@ async fn watch(
     watch: &WatchArgs,
     shown: &mut Printer,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), CommandFailure> {
     let pattern = pattern(&watch.pattern.pattern)?;
     let filter = watch.filter.as_deref().map(Filter::compile).transpose()?;
     let mut changes = reached.memory().subscribe(&pattern).await?;
@@ -247,7 +251,7 @@ async fn changed_last(
     reached: &OpenedMemory,
     pattern: &Pattern,
     count: usize,
-) -> Result<Vec<Arc<Snapshot>>, Failure> {
+) -> Result<Vec<Arc<Snapshot>>, CommandFailure> {
     if count == 0 {
         return Ok(Vec::new());
     }
@@ -267,7 +271,7 @@ async fn top(
     once: bool,
     shown: &mut Printer,
     out: &mut dyn Write,
-) -> Result<(), Failure> {
+) -> Result<(), CommandFailure> {
     let mut before = reached.maintain(Maintain::Usage).await?.counts;
     loop {
         tokio::select! {
@@ -286,7 +290,7 @@ async fn top(
 }
 
 /// Commits and removes an entity of this command's own. Returns how long that took, us.
-async fn health(reached: &OpenedMemory, args: &MemoryArgs) -> Result<u64, Failure> {
+async fn health(reached: &OpenedMemory, args: &MemoryArgs) -> Result<u64, CommandFailure> {
     let provider = args.writer.as_deref().unwrap_or(LOCAL);
     let id = EntityId::new("Health", provider, "check")?;
     let start = tokio::time::Instant::now();
@@ -296,7 +300,7 @@ async fn health(reached: &OpenedMemory, args: &MemoryArgs) -> Result<u64, Failur
     Ok(u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX))
 }
 
-fn query(args: &QueryArgs) -> Result<Query, Failure> {
+fn query(args: &QueryArgs) -> Result<Query, CommandFailure> {
     let mut query = Query::latest(pattern(&args.pattern.pattern)?);
     query.times = match (args.at.or(args.before), args.from, args.to) {
         (Some(at), _, _) if args.at.is_some() => Times::At(at),
@@ -322,13 +326,17 @@ fn query(args: &QueryArgs) -> Result<Query, Failure> {
     Ok(query)
 }
 
-fn numbers<const N: usize>(text: &str) -> Result<[f64; N], Failure> {
-    let wrong = || Failure::Argument(format!("`{text}` is not {N} numbers with commas between them"));
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], CommandFailure> {
+    let wrong = || CommandFailure::Argument(format!("`{text}` is not {N} numbers with commas between them"));
     let numbers = text.split(',').map(|n| n.trim().parse::<f64>().map_err(|_| wrong()));
     numbers.collect::<Result<Vec<_>, _>>()?.try_into().map_err(|_| wrong())
 }
 
-async fn export(reached: &OpenedMemory, export: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
+async fn export(
+    reached: &OpenedMemory,
+    export: &ExportArgs,
+    out: &mut dyn Write,
+) -> Result<(), CommandFailure> {
     let pattern = pattern(&export.pattern.pattern)?;
     if let Some(path) = export.output.as_ref().filter(|path| path.extension().is_some_and(|e| e == "mcap")) {
         let count = recording::record(reached, pattern, path).await?;
@@ -348,19 +356,19 @@ async fn export(reached: &OpenedMemory, export: &ExportArgs, out: &mut dyn Write
         return Ok(());
     }
     let query = Query::history(pattern).with_long_term();
-    let each = |snapshot: &Snapshot| -> Result<(), Failure> {
-        let line = serde_json::to_string(snapshot).map_err(|e| Failure::Refused(e.to_string()))?;
+    let each = |snapshot: &Snapshot| -> Result<(), CommandFailure> {
+        let line = serde_json::to_string(snapshot).map_err(|e| CommandFailure::Refused(e.to_string()))?;
         Ok(writeln!(to, "{line}")?)
     };
     reached.each(query, each).await?;
     Ok(to.flush()?)
 }
 
-pub(super) fn unusable(path: &Path, error: &io::Error) -> Failure {
-    Failure::Argument(format!("`{}` cannot be used: {error}", path.display()))
+pub(super) fn unusable(path: &Path, error: &io::Error) -> CommandFailure {
+    CommandFailure::Argument(format!("`{}` cannot be used: {error}", path.display()))
 }
 
-async fn import(reached: &OpenedMemory, file: &Path) -> Result<BTreeMap<String, u64>, Failure> {
+async fn import(reached: &OpenedMemory, file: &Path) -> Result<BTreeMap<String, u64>, CommandFailure> {
     let mut lines: Box<dyn BufRead + Send> = if file == Path::new("-") {
         Box::new(BufReader::new(io::stdin()))
     } else {
@@ -374,7 +382,7 @@ async fn import(reached: &OpenedMemory, file: &Path) -> Result<BTreeMap<String, 
         if read > 0 && !line.trim().is_empty() {
             number += 1;
             let wrong =
-                |e: serde_json::Error| Failure::Argument(format!("line {number} is no snapshot: {e}"));
+                |e: serde_json::Error| CommandFailure::Argument(format!("line {number} is no snapshot: {e}"));
             batch.push(Arc::new(serde_json::from_str::<Snapshot>(&line).map_err(wrong)?));
         }
         if batch.len() == BATCH || (read == 0 && !batch.is_empty()) {

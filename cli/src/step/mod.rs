@@ -16,7 +16,7 @@ use armarium_runtime::stepping::Stepper;
 use armarium_runtime::test_cases::StepCheck;
 
 use crate::console;
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::run::parse_input;
 use armarium_host::{catalog, charts::read_inputs};
 
@@ -65,7 +65,7 @@ fn drive(
     program: &Arc<Program>,
     out: &mut dyn Write,
     err: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     let inputs = read_inputs(&args.inputs, program).map_err(|e| e.to_string())?;
     let stepper = Stepper::new(Arc::clone(program), &inputs, args.profile.as_deref());
     let mut stepper = stepper.map_err(|e| e.to_string())?;
@@ -94,7 +94,7 @@ fn follow(
     check: &StepCheck<'_>,
     out: &mut dyn Write,
     refused: &mut RefusedEvents<'_>,
-) -> Result<(), Failure> {
+) -> Result<(), CommandFailure> {
     let Some(events) = &args.events else { return Ok(()) };
     if args.repeat == 1 {
         // Each line is answered before the next is read, so that a program can drive a chart through pipes.
@@ -143,7 +143,7 @@ fn measure(
     check: &StepCheck<'_>,
     out: &mut dyn Write,
     refused: &mut RefusedEvents<'_>,
-) -> Result<(), Failure> {
+) -> Result<(), CommandFailure> {
     let mut list =
         args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check, refused))?;
     let program = Arc::clone(stepper.engine().program());
@@ -171,7 +171,7 @@ fn read_all(
     events: &PathBuf,
     check: &StepCheck<'_>,
     refused: &mut RefusedEvents<'_>,
-) -> Result<Vec<(usize, line::InputLine)>, Failure> {
+) -> Result<Vec<(usize, line::InputLine)>, CommandFailure> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
         list.extend(checked(number, text, check, refused)?.map(|input| (number, input)));
@@ -187,7 +187,7 @@ fn checked(
     text: &str,
     check: &StepCheck<'_>,
     refused: &mut RefusedEvents<'_>,
-) -> Result<Option<line::InputLine>, Failure> {
+) -> Result<Option<line::InputLine>, CommandFailure> {
     let input = line::read(text).map_err(|e| wrong(number, &e))?;
     match input.as_ref().map_or(Ok(()), |input| check.check(&input.step())) {
         Err(error) if error.is_unknown_event() && !matches!(input, Some(ref input) if input.is_report()) => {
@@ -198,16 +198,16 @@ fn checked(
     Ok(input)
 }
 
-fn wrong(number: usize, message: &str) -> Failure {
-    Failure::Argument(format!("line {number} of the events: {message}"))
+fn wrong(number: usize, message: &str) -> CommandFailure {
+    CommandFailure::Argument(format!("line {number} of the events: {message}"))
 }
 
 /// Calls `work` with each line of a file, or of standard input for `-`, and its number.
 fn each_line(
     file: &PathBuf,
-    mut work: impl FnMut(usize, &str) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let unreadable = |e: io::Error| Failure::Argument(format!("{}: {e}", file.display()));
+    mut work: impl FnMut(usize, &str) -> Result<(), CommandFailure>,
+) -> Result<(), CommandFailure> {
+    let unreadable = |e: io::Error| CommandFailure::Argument(format!("{}: {e}", file.display()));
     let mut reader: Box<dyn BufRead> = if file.as_os_str() == "-" {
         Box::new(io::stdin().lock())
     } else {

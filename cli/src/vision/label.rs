@@ -13,7 +13,7 @@ use tokio::net::TcpListener;
 use super::report::json;
 use super::sequence::Sequence;
 use super::{Detector, DetectorArgs, LabelArgs, LabelledArgs, ScoreArgs};
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::stopped::stopped;
 
 /// Most images of a recording that are kept to be labelled.
@@ -45,7 +45,7 @@ fn images(sequence: &Sequence, every: NonZeroUsize) -> Result<(Vec<String>, Imag
 }
 
 /// Serves the page until Ctrl-C. Returns 2 when the images or labels cannot be used.
-pub(super) fn label(args: &LabelArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(super) fn label(args: &LabelArgs, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     let (labels, sequence) = open(&args.of)?;
     let (names, image) = images(&sequence, args.every)?;
     if names.is_empty() {
@@ -69,13 +69,13 @@ pub(super) fn label(args: &LabelArgs, out: &mut dyn Write) -> Result<u8, Failure
         tokio::select! {
             biased;
             () = stopped() => Ok(0),
-            served = label_page::serve(listener, page) => served.map(|()| 0).map_err(Failure::Output),
+            served = label_page::serve(listener, page) => served.map(|()| 0).map_err(CommandFailure::Output),
         }
     })
 }
 
 /// Lets detectors look at the labelled images, and prints how well they do. Returns 2 when images or labels cannot be used.
-pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(super) fn score(args: &ScoreArgs, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     let (labels, sequence) = open(&args.of)?;
     let mut detectors = [("learned", Detector::Learned), ("skin", Detector::Skin)]
         .map(|(name, detector)| (name, DetectorArgs { detector }.of_images(None), DetectorScore::default()));

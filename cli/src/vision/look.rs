@@ -13,7 +13,7 @@ use armarium_visionx::{ColorModel, Region, RgbImage, annotate, components};
 use super::LookArgs;
 use super::album::Album;
 use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip, json, rounded};
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::render_findings::lines;
 
 pub(super) enum Seek {
@@ -34,7 +34,7 @@ pub(super) fn run(
     mut seek: Seek,
     out: &mut dyn Write,
     err: &mut dyn Write,
-) -> Result<u8, Failure> {
+) -> Result<u8, CommandFailure> {
     let files = images_in(&args.images).map_err(|(path, error)| format!("{}: {error}", path.display()))?;
     let mut album = Album::of(&args.annotate, &files)?;
     let mut status = 0;

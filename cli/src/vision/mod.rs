@@ -17,7 +17,7 @@ use std::path::PathBuf;
 use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
 pub(crate) use look::color;
 
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct VisionArgs {
@@ -234,7 +234,11 @@ pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -
     carry_out(&args.command, out, err).or_else(|failure| failure.say(err))
 }
 
-fn carry_out(command: &VisionCommand, out: &mut dyn Write, err: &mut dyn Write) -> Result<u8, Failure> {
+fn carry_out(
+    command: &VisionCommand,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+) -> Result<u8, CommandFailure> {
     match command {
         VisionCommand::Gesture(args) => {
             let detector = args.detector.of_images(look::recognizer(args.patterns.as_deref())?);

@@ -12,12 +12,12 @@ use super::album::Album;
 use super::look::hand_line;
 use super::report::{ErrorLine, HandLine, Tip, json, rounded};
 use super::sequence::Sequence;
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 use crate::render_findings::lines;
 
 /// Tracks and prints. Returns 2 when the sequence or one of its images cannot be used, 1 when an annotated image
 /// cannot be written.
-pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) -> Result<u8, Failure> {
+pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) -> Result<u8, CommandFailure> {
     let model = model(args.model.as_deref())?;
     let sequence = Sequence::open(&args.folder, args.topic.as_deref())?;
     let mut album = Album::of(&args.annotate, sequence.files())?;

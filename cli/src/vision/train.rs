@@ -12,13 +12,13 @@ use nalgebra::Point2;
 
 use super::TrainArgs;
 use super::sequence::Sequence;
-use crate::failure::Failure;
+use crate::failure::CommandFailure;
 
 /// The positions of one fingertip, frame by frame, normalised; not finite where it was not seen.
 type Path2 = Vec<Point2<f64>>;
 
 /// Learns and saves. Returns 2 when there is no data to learn from, 1 when the model cannot be written.
-pub(super) fn run(args: &TrainArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+pub(super) fn run(args: &TrainArgs, out: &mut dyn Write) -> Result<u8, CommandFailure> {
     let mut paths = Vec::new();
     for folder in &args.folders {
         paths.extend(seen(folder, args)?);
@@ -32,7 +32,7 @@ pub(super) fn run(args: &TrainArgs, out: &mut dyn Write) -> Result<u8, Failure> 
     let model = FingerARModel::fit(&paths, args.rate).map_err(|error| error.to_string())?;
     let shown = args.output.display();
     fs::write(&args.output, model.to_yaml())
-        .map_err(|error| Failure::Refused(format!("{shown}: {error}")))?;
+        .map_err(|error| CommandFailure::Refused(format!("{shown}: {error}")))?;
     let deviation = model.noise.diagonal().map(f64::sqrt);
     writeln!(
         out,
