@@ -86,20 +86,26 @@ impl TouchStep {
         [shift_before, shift_now]: &[Vector2<f64>; 2],
         (x, y): (u32, u32),
     ) -> Option<Patch> {
-        let at = then.raised((x, y), HALF as u32, &self.table)?;
+        let at = then.raised((x, y), HALF, &self.table)?;
         let patch = (&then.left, Point2::new(x as i32, y as i32));
         let (still, motion) = then.still_and_motion(&at, now)?;
         let px = still + shift_now;
         let carried = Point2::new(f64::from(x), f64::from(y)) + motion;
-        if difference(patch, (&then.left, &carried))? < PLAIN || now.hides(&px) || now.hides(&(px + motion)) {
+        if difference(patch, (&then.left, &carried))? < PLAIN
+            || now.hides(&px, HALF)
+            || now.hides(&(px + motion), HALF)
+        {
             return None;
         }
         let (was, moved) = then.still_and_motion(&at, before)?;
         let was = was + shift_before;
-        if before.hides(&was) || find(patch, &before.left, (&was, &moved))? != Found::Still {
+        if before.hides(&was, HALF) || find(patch, &before.left, (&was, &moved))? != Found::Still {
             return None;
         }
-        let found = find(patch, &now.left, (&px, &motion))?;
+        let found = match find(patch, &now.left, (&px, &motion))? {
+            Found::Moved if !now.shows(&at, &(px + motion), HALF) => Found::Otherwise,
+            found => found,
+        };
         Some(Patch { px, at, found })
     }
 
@@ -111,6 +117,15 @@ impl TouchStep {
         let around = |middle: &Point3<f64>, all: &[Point3<f64>]| {
             all.iter().filter(|at| (*at - middle).norm() < TOGETHER).count()
         };
+            let n = of(Found::Otherwise).count();
+            eprintln!(
+                "TOUCH {} moved {} still {} other {}",
+                stamp_ns as f64 * 1e-9,
+                moved.len(),
+                still.len(),
+                n
+            );
+        }
         // The one with the most others around it.
         let before = std::mem::take(&mut self.likely);
         let middle = *moved.iter().max_by_key(|at| around(at, &moved))?;
