@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use crate::frame::RgbImage;
 
 /// Half the edge of a patch, px, and the distance of the pixels of it that are compared.
-pub(super) const HALF: i32 = 5;
+pub(super) const HALF: u32 = 5;
 const EVERY: usize = 2;
 
 /// A picture whose edges are a little soft, so that it can be compared between pixels: weights 1 2 1 along both axes.

@@ -20,6 +20,8 @@ const RAISED: f64 = 0.010;
 const NEAR: f64 = 0.12;
 /// How far from the fingers' middles they reach, m.
 const FINGER: f64 = 0.05;
+/// What is so much nearer than a point, or farther, is something else, m.
+const BEFORE: f64 = 0.02;
 /// Own parts may be beside where they are known to be by this, px.
 const MARGIN: f64 = 3.0;
 
@@ -61,9 +63,9 @@ impl Picture {
         then.zip(now).map_or(0.0, |(then, now)| (now - then).norm())
     }
 
-    /// Whether the own body hides a part of the patch about a pixel.
-    pub(super) fn hides(&self, px: &Point2<f64>) -> bool {
-        self.own.iter().any(|outline| outline.signed_distance(px) < MARGIN + f64::from(HALF))
+    /// Whether the own body hides a pixel, or another one within so many of it.
+    pub(super) fn hides(&self, px: &Point2<f64>, within: u32) -> bool {
+        self.own.iter().any(|outline| outline.signed_distance(px) < MARGIN + f64::from(within))
     }
 
     /// Every so many pixels around the fingers.
@@ -89,7 +91,7 @@ impl Picture {
         let px = Point2::new(f64::from(x), f64::from(y));
         let depth = nearest_depth(&self.depth, (x, y), within)?;
         let at = self.root_from_left * Point3::from(self.camera.ray(&px) * depth);
-        if self.hides(&px) || table.normal.dot(&(at - table.at)) < RAISED {
+        if self.hides(&px, within) || table.normal.dot(&(at - table.at)) < RAISED {
             return None;
         }
         self.hand.nearest_finger(&at).filter(|(_, distance)| *distance < NEAR).map(|_| at)
@@ -106,6 +108,17 @@ impl Picture {
         Some((still, other.px(&carried)? - still))
     }
 
+    /// Whether nothing but a point (root frame) is seen within so many pixels of where it would be: what is in front of it, as somebody
+    /// else's hand, says nothing of it.
+    pub(super) fn shows(&self, at: &Point3<f64>, px: &Point2<f64>, within: u32) -> bool {
+        let expected = (self.root_from_left.inverse() * at).z;
+        let [x, y] = [px.x.round(), px.y.round()];
+        let inside =
+            x >= 0.0 && y >= 0.0 && x < f64::from(self.camera.width) && y < f64::from(self.camera.height);
+        let seen = inside.then(|| nearest_depth(&self.depth, (x as u32, y as u32), within)).flatten();
+        seen.is_some_and(|seen| (seen - expected).abs() < BEFORE)
+    }
+
     /// By how much another picture is shifted against where the camera's known motion would bring it, px.
     pub(super) fn shift_of(&self, other: &Self) -> Vector2<f64> {
         let other_from_this = other.root_from_left.inverse() * self.root_from_left;
@@ -113,12 +126,12 @@ impl Picture {
             let (x, y) = (x * GRID, y * GRID);
             let px = Point2::new(f64::from(x), f64::from(y));
             let depth = f64::from(self.depth.at(x, y));
-            if depth == 0.0 || self.hides(&px) {
+            if depth == 0.0 || self.hides(&px, HALF) {
                 return None;
             }
             let there =
                 self.camera.project(&(other_from_this * Point3::from(self.camera.ray(&px) * depth)))?;
-            (!other.hides(&there)).then(|| (Point2::new(x as i32, y as i32), there))
+            (!other.hides(&there, HALF)).then(|| (Point2::new(x as i32, y as i32), there))
         };
         let grid = Region::whole(self.camera.width / GRID, self.camera.height / GRID);
         align(&self.left, &other.left, &grid.pixels().filter_map(pair).collect::<Vec<_>>())

@@ -86,20 +86,26 @@ impl TouchStep {
         [shift_before, shift_now]: &[Vector2<f64>; 2],
         (x, y): (u32, u32),
     ) -> Option<Patch> {
-        let at = then.raised((x, y), HALF as u32, &self.table)?;
+        let at = then.raised((x, y), HALF, &self.table)?;
         let patch = (&then.left, Point2::new(x as i32, y as i32));
         let (still, motion) = then.still_and_motion(&at, now)?;
         let px = still + shift_now;
         let carried = Point2::new(f64::from(x), f64::from(y)) + motion;
-        if difference(patch, (&then.left, &carried))? < PLAIN || now.hides(&px) || now.hides(&(px + motion)) {
+        if difference(patch, (&then.left, &carried))? < PLAIN
+            || now.hides(&px, HALF)
+            || now.hides(&(px + motion), HALF)
+        {
             return None;
         }
         let (was, moved) = then.still_and_motion(&at, before)?;
         let was = was + shift_before;
-        if before.hides(&was) || find(patch, &before.left, (&was, &moved))? != PatchMotion::Still {
+        if before.hides(&was, HALF) || find(patch, &before.left, (&was, &moved))? != PatchMotion::Still {
             return None;
         }
-        let found = find(patch, &now.left, (&px, &motion))?;
+        let found = match find(patch, &now.left, (&px, &motion))? {
+            PatchMotion::Moved if !now.shows(&at, &(px + motion), HALF) => PatchMotion::Otherwise,
+            found => found,
+        };
         Some(Patch { px, at, found })
     }
 
