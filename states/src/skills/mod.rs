@@ -3,6 +3,7 @@
 mod approach_object;
 mod attach_object;
 mod bimanual_servo;
+mod body_coaching;
 mod calibrate_hand_eye;
 mod carry_together;
 mod choose_push;
@@ -92,6 +93,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         Arc::new(learn_together::skill(equipment)),
         Arc::new(put_down_together::skill(equipment)),
         Arc::new(vision_coaching::skill(equipment)),
+        Arc::new(body_coaching::skill(equipment)),
         Arc::new(gaze_selection::skill(equipment)),
         Arc::new(segment_scene::skill(equipment)),
         Arc::new(choose_push::skill(equipment)),
