@@ -7,7 +7,7 @@ use super::lifting::{Measured, joints};
 use super::own_body::{own_pixels, without};
 use super::{BodyJoint, BodyObservation, SeenJoint};
 use crate::camera::StereoCalibration;
-use crate::frame::StereoFrame;
+use crate::frame::{RgbImage, StereoFrame};
 use crate::touch::OwnPart;
 use crate::tracking::{BodyLandmarks, LearnedBodyDetector};
 
@@ -80,11 +80,13 @@ impl BodyObserver {
         let depth = frame.depth.as_deref().and_then(|depth| camera.usable(depth));
         let mask = own_pixels(own, &camera, (&left_from_root, 0.0), depth);
         let body = self.left.find(&without(&frame.left, &mask)).filter(shows_shoulders)?;
+        let body = facing(body, &frame.left);
         let seen = match depth {
             Some(depth) => joints(&body, &Measured::Depth(depth, &mask), &self.calibration),
             None => {
                 let mask = own_pixels(own, &camera, (&left_from_root, baseline), None);
                 let right = self.right.find(&without(&frame.right, &mask)).filter(shows_shoulders)?;
+                let right = facing(right, &frame.right);
                 joints(&body, &Measured::Eyes(&right), &self.calibration)
             }
         };
@@ -95,6 +97,15 @@ impl BodyObserver {
 
 fn shows_shoulders(body: &BodyLandmarks) -> bool {
     [11, 12].into_iter().all(|shoulder| body.visible[shoulder] > LEAST_VISIBLE)
+}
+
+/// The body with its right shoulder to the left, if its face is not in the image: without a face networks cannot tell front from
+/// back, and people face a robot that they are before.
+fn facing(body: BodyLandmarks, image: &RgbImage) -> BodyLandmarks {
+    let nose = body.points[0];
+    let inside = |at: f64, size: u32| (0.0..f64::from(size)).contains(&at);
+    let shows_face = inside(nose.x, image.width()) && inside(nose.y, image.height());
+    if shows_face || body.points[12].x <= body.points[11].x { body } else { body.mirrored() }
 }
 
 fn in_root(seen: [Option<SeenJoint>; 7], root_from_left: &Isometry3<f64>) -> [Option<SeenJoint>; 7] {

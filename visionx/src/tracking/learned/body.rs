@@ -59,6 +59,19 @@ pub struct BodyLandmarks {
     square: Option<Square>,
 }
 
+impl BodyLandmarks {
+    /// The same with left and right exchanged, but for eyes and mouth.
+    #[must_use]
+    pub fn mirrored(mut self) -> Self {
+        for left in (7..COUNT).step_by(2) {
+            self.points.swap(left, left + 1);
+            self.in_body.swap(left, left + 1);
+            self.visible.swap(left, left + 1);
+        }
+        self
+    }
+}
+
 /// Finds a body in the images of one camera: where it was, it is looked for first.
 #[derive(Clone, Debug)]
 pub struct LearnedBodyDetector {
