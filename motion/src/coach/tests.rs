@@ -296,7 +296,7 @@ fn an_arm_moves_the_near_part_along_its_direction_in_space() {
         let mut dmp = wiping("ellipse", [0.16, 0.12]);
         let start = dmp.steady_path(SAMPLES).unwrap();
         let on_path = point(&start, TAU * phase);
-        let at = on_path * (1.0 + 0.12 / on_path.norm());
+        let at = on_path + (on_path - centre_of(&dmp)).normalize() * 0.12;
         let config = CoachConfig { normal: [0.0; 3], ..CoachConfig::default() };
         let mut coach = CoachedMotion::new(config, &dmp).unwrap();
         let omega = TAU * 0.3;

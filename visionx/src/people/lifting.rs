@@ -161,20 +161,26 @@ fn on_ray(
         return None;
     }
     let px = nalgebra::center(&body.points[a], &body.points[b]);
+    let camera = &calibration.camera;
+    let inside = |at: f64, size: u32| (0.0..f64::from(size)).contains(&at);
+    // What is beside the picture the networks guess.
+    if !(inside(px.x, camera.width) && inside(px.y, camera.height)) {
+        return None;
+    }
     let in_body = nalgebra::center(&body.in_body[a], &body.in_body[b]);
     let mut measured = match by {
-        Measured::Depth(depth, own) => surfaces(depth, own, &calibration.camera, &px, joint.under_surface()),
+        Measured::Depth(depth, own) => surfaces(depth, own, camera, &px, joint.under_surface()),
         Measured::Eyes(right) => {
             let right = nalgebra::center(&right.points[a], &right.points[b]);
             let at = calibration.triangulate(&px, &right);
-            let deviation = |z: f64| DISPARITY * z * z / (calibration.camera.focal * calibration.baseline);
+            let deviation = |z: f64| DISPARITY * z * z / (camera.focal * calibration.baseline);
             let measured =
                 |at: Point3<f64>| MeasuredDepth { depth: at.z, deviation: deviation(at.z), beside: 0.0 };
             at.into_iter().map(measured).collect()
         }
     };
     measured.retain(|m| (NEAREST..=FARTHEST).contains(&m.depth));
-    Some(OnRay { ray: calibration.camera.ray(&px), in_body, measured })
+    Some(OnRay { ray: camera.ray(&px), in_body, measured })
 }
 
 /// The depths of a joint that lies so far under the surfaces about a pixel, the one that is nearest beside it first.

@@ -144,10 +144,11 @@ fn in_square(network: &mut Network, image: &RgbImage, square: &Square) -> Option
         presence: f64::from(presence),
         square: around(point(CENTER)?, point(EDGE)?),
     };
-    for i in 0..COUNT {
+    let landmarks = places.iter().zip(metres.as_chunks::<3>().0);
+    for (i, ([.., visible, _], metres)) in landmarks.enumerate().take(COUNT) {
         body.points[i] = point(i)?;
-        body.visible[i] = f64::from(sigmoid(places[i][3]));
-        let [u, v, depth] = metres.as_chunks::<3>().0.get(i)?.map(f64::from);
+        body.visible[i] = f64::from(sigmoid(*visible));
+        let [u, v, depth] = metres.map(f64::from);
         let across: Vector2<f64> = square.right() * u + square.down * v;
         body.in_body[i] = Point3::new(across.x, across.y, depth);
     }
