@@ -173,7 +173,7 @@ fn channels_are_listed_with_who_publishes_and_who_reads_them() {
     assert_eq!(status(&output), 0);
     for part in [
         "battery\n    The accumulator.\n    channels.battery.volts: float in V  at rest\n    declared by: Dock\n    read by: chart Dock\n",
-        "published by: ExecuteMotion, ForceAdaptation, ImitateMotion\n    read by: observer of `hand`\n",
+        "published by: ExecuteMotion, ForceAdaptation, ImitateMotion, PlayMotion\n    read by: BodyCoaching, observer of `hand`\n",
         "channels.wrist.push: list<float in N>",
         "published by: observer of `hand`\n    read by: ExecuteMotion, GazeSelection, VisionCoaching\n",
         "ObjectInstances  (in memory; `observe: {NAME: \"ObjectInstances/*/*\"}`)\n    Things that were seen",

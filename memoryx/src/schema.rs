@@ -279,11 +279,14 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
                 Type::map(Type::Any),
                 "gesture that was clearly visible, for how long (s), position and direction then, and where the hand was seen last",
             ),
-        SegmentSchema::new("HumanPoses", "Bodies of people.").optional(
-            "keypoints",
-            Type::map(Type::Vector),
-            "joints of the body by name, m, in their frame",
-        ),
+        SegmentSchema::new("HumanPoses", "Bodies of people.")
+            .optional("position", Type::Vector, "middle of the shoulders, m, in its frame")
+            .optional("keypoints", Type::map(Type::Vector), "joints of the body by name, m, in their frame")
+            .optional(
+                "covariances",
+                Type::map(numbers()),
+                "nine numbers for each of these joints: its covariance in the root frame, m², row by row",
+            ),
     ];
     segments.into_iter().map(|schema| (schema.segment.clone(), schema)).collect()
 }

@@ -2,7 +2,7 @@
 //!
 //! - [`world`]: the world file. [`Simulation`]: everything together, stepped by tokio's clock.
 //! - [`physics`]: Rapier, grip and wrist sensor; on [`table`] and [`foundation`], the soft underside of objects.
-//! - [`start`]: where robots and bodies are at first. [`person`]: people who keep to a schedule.
+//! - [`start`]: where robots and bodies are at first. [`person`]: people who keep to a schedule; [`figure`]: their bodies.
 //! - [`coach`]: the person who demonstrates and coaches. [`cameras`], [`render`]: what the robot sees.
 //! - [`truth`]: the true state, for recorder and [`referee`]; skills never see it.
 //!
@@ -12,6 +12,7 @@ mod accidents;
 pub mod cameras;
 pub mod coach;
 mod error;
+pub mod figure;
 pub mod foundation;
 mod leading;
 pub mod modification;

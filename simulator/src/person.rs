@@ -1,42 +1,29 @@
-//! A person in the scene: what they want at each instant, from their schedule, and how their body follows their hands.
+//! A person in the scene: what they want at each instant, from their schedule.
 //!
 //! Of the robot a person knows where its hands are seen, and leads one (`leading.rs`); their hands feel what touches them, as the
-//! physics moves them by a spring. Each part is a solid: legs, trunk, head, upper arms, forearms and hands. This module has no
-//! physics and draws nothing.
+//! physics moves them by a spring. This module has no physics and draws nothing; their body is in `figure.rs`.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
-use armarium_robot::{Geometry, Visual};
 use armarium_values::random::StandardNormal;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use crate::coach::minimum_jerk;
+use crate::figure::{FOREARM, UPPER_ARM, shoulder, sign};
 pub use crate::leading::Lead;
 use crate::leading::Leading;
-use crate::render::hand::SKIN;
 use crate::world::{PersonAction, PersonSpec};
 
 /// Time from the end of an action to the beginning of the next, and its standard deviation, s.
 const REACTION: [f64; 2] = [0.2, 0.04];
-/// Colour of the legs.
-const TROUSERS: [u8; 3] = [58, 60, 68];
 /// Time constant with which what a person sees follows what is, s.
 const SEEING: f64 = 0.2;
 /// Time constant of the tremor, s.
 const TREMOR_S: f64 = 0.05;
 /// How often a hand waves, Hz, and how far to each side, m.
 const WAVE: (f64, f64) = (1.5, 0.12);
-/// Radius of a hand, m.
-pub const HAND_RADIUS: f64 = 0.05;
-
-/// Lengths of a body, all as shares of its height.
-const HIP: f64 = 0.50;
-const SHOULDER: f64 = 0.80;
-const HALF_SHOULDERS: f64 = 0.11;
-const UPPER_ARM: f64 = 0.17;
-const FOREARM: f64 = 0.16;
 
 /// What a person wants at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,6 +34,19 @@ pub struct Posture {
     pub hands: [Point3<f64>; 2],
     /// What each hand does with a hand of the robot.
     pub leads: [Option<Lead>; 2],
+    /// What an arm does that reaches for a place.
+    pub reaches: Option<Reach>,
+}
+
+/// An arm that reaches for a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reach {
+    /// The action, by its index in the person's schedule.
+    pub action: usize,
+    /// Which arm: 0 right, 1 left.
+    pub side: usize,
+    /// Whether the hand is there.
+    pub holds: bool,
 }
 
 impl Posture {
@@ -55,7 +55,8 @@ impl Posture {
         let [x, y] = spec.at;
         let room_from_feet =
             Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * spec.yaw_deg.to_radians());
-        Self { room_from_feet, hands: hanging(&room_from_feet, spec.height), leads: [None; 2] }
+        let hands = hanging(&room_from_feet, spec.height);
+        Self { room_from_feet, hands, leads: [None; 2], reaches: None }
     }
 }
 
@@ -85,6 +86,16 @@ impl Person {
         Self { spec: spec.clone(), rng, doing, next_at: 0.0, next: 0, tremor, posture, seen, leading }
     }
 
+    /// What the world's file says of them.
+    pub fn spec(&self) -> &PersonSpec {
+        &self.spec
+    }
+
+    /// What an arm reaches for now.
+    pub fn reaches(&self) -> Option<Reach> {
+        self.posture.reaches
+    }
+
     /// What they want at `t` s, `dt` s after the last step, with the hands of the first robot where they are.
     pub fn step(&mut self, t: f64, dt: f64, robot_hands: &[Point3<f64>]) -> Posture {
         let follows = 1.0 - libm::exp(-dt / SEEING);
@@ -100,7 +111,8 @@ impl Person {
         }
         if let Some((index, since, from)) = self.doing {
             let action = self.spec.does[index].clone();
-            let over = self.act(&action, &from, (t - since, dt));
+            self.posture.reaches = None;
+            let over = self.act((index, &action), &from, (t - since, dt));
             if over {
                 self.doing = None;
                 let [mean, deviation] = REACTION;
@@ -111,7 +123,7 @@ impl Person {
                 }
             }
         }
-        let Posture { room_from_feet, mut hands, leads } = self.posture;
+        let Posture { mut hands, .. } = self.posture;
         if self.spec.tremor > 0.0 {
             let kept = libm::exp(-dt / TREMOR_S);
             for (hand, tremor) in hands.iter_mut().zip(&mut self.tremor) {
@@ -120,11 +132,16 @@ impl Person {
                 *hand += *tremor;
             }
         }
-        Posture { room_from_feet, hands, leads }
+        Posture { hands, ..self.posture }
     }
 
     /// Goes on with an action that has lasted for `age` s; returns whether it is over.
-    fn act(&mut self, action: &PersonAction, from: &Posture, (age, dt): (f64, f64)) -> bool {
+    fn act(
+        &mut self,
+        (index, action): (usize, &PersonAction),
+        from: &Posture,
+        (age, dt): (f64, f64),
+    ) -> bool {
         let height = self.spec.height;
         if let Some([x, y]) = action.walk {
             return self.walk(&Vector3::new(x, y, 0.0), from, action.speed, age);
@@ -151,6 +168,10 @@ impl Person {
         let moving = |way: f64| (1.9 * way / action.speed).max(0.3);
         let (there, back) = (moving((goal - from.hands[side]).norm()), moving((rest - goal).norm()));
         let stays = there + action.duration;
+        if action.reach.is_some() {
+            let holds = (there..stays).contains(&age);
+            self.posture.reaches = Some(Reach { action: index, side, holds }).filter(|_| age < stays + back);
+        }
         self.posture.hands[side] = if age < there {
             from.hands[side] + (goal - from.hands[side]) * minimum_jerk(age / there)
         } else if age < stays {
@@ -188,15 +209,6 @@ impl Person {
     }
 }
 
-/// 1 for the right side, -1 for the left.
-fn sign(side: usize) -> f64 {
-    if side == 0 { 1.0 } else { -1.0 }
-}
-
-fn shoulder(feet: &Isometry3<f64>, height: f64, side: usize) -> Point3<f64> {
-    feet * Point3::new(sign(side) * HALF_SHOULDERS * height, 0.0, SHOULDER * height)
-}
-
 fn hanging(feet: &Isometry3<f64>, height: f64) -> [Point3<f64>; 2] {
     let down = (UPPER_ARM + FOREARM) * height * 0.97;
     [0, 1].map(|side| {
@@ -210,76 +222,6 @@ fn within_reach(feet: &Isometry3<f64>, height: f64, side: usize, goal: &Point3<f
     let way = goal - shoulder;
     let most = (UPPER_ARM + FOREARM) * height * 0.98;
     if way.norm() > most { shoulder + way.normalize() * most } else { *goal }
-}
-
-/// The forms of a person's parts in frames of their own: legs, trunk, head, upper arms, forearms, and last the hands.
-pub fn parts(spec: &PersonSpec) -> Vec<Visual> {
-    let h = spec.height;
-    let part = |shape: Geometry, color| Visual { shape, link_from_shape: Isometry3::identity(), color };
-    let rod = |radius: f64, length: f64, color| part(Geometry::Capsule { radius, length }, color);
-    let leg = || rod(0.075, HIP * h - 0.15, TROUSERS);
-    let upper = || rod(0.045, UPPER_ARM * h, spec.color);
-    let fore = || rod(0.04, FOREARM * h, spec.color);
-    let hand = || part(Geometry::Sphere { radius: HAND_RADIUS }, SKIN);
-    let trunk = rod(0.15, (SHOULDER - HIP) * h - 0.15, spec.color);
-    vec![
-        leg(),
-        leg(),
-        trunk,
-        part(Geometry::Sphere { radius: 0.11 }, SKIN),
-        upper(),
-        upper(),
-        fore(),
-        fore(),
-        hand(),
-        hand(),
-    ]
-}
-
-/// The poses of a person's parts in the order of [`parts`], with their hands where they are.
-pub fn poses(spec: &PersonSpec, feet: &Isometry3<f64>, hands: &[Point3<f64>; 2]) -> Vec<Isometry3<f64>> {
-    let h = spec.height;
-    let upright = |x: f64, z: f64| feet * Isometry3::translation(x, 0.0, z);
-    let arms = [0, 1].map(|side| {
-        let shoulder = shoulder(feet, h, side);
-        let elbow = elbow(feet, h, side, &hands[side]);
-        [along(&shoulder, &elbow), along(&elbow, &hands[side])]
-    });
-    vec![
-        upright(0.09, HIP * h / 2.0),
-        upright(-0.09, HIP * h / 2.0),
-        upright(0.0, (HIP + SHOULDER) / 2.0 * h),
-        upright(0.0, 0.935 * h),
-        arms[0][0],
-        arms[1][0],
-        arms[0][1],
-        arms[1][1],
-        Isometry3::from_parts(hands[0].coords.into(), feet.rotation),
-        Isometry3::from_parts(hands[1].coords.into(), feet.rotation),
-    ]
-}
-
-/// Where the elbow is when the hand is there: it hangs down and outwards.
-fn elbow(feet: &Isometry3<f64>, height: f64, side: usize, hand: &Point3<f64>) -> Point3<f64> {
-    let (a, b) = (UPPER_ARM * height, FOREARM * height);
-    let shoulder = shoulder(feet, height, side);
-    let way = hand - shoulder;
-    let far = way.norm().clamp((a - b).abs() + 1e-3, a + b - 1e-6);
-    let ahead = way.try_normalize(1e-9).unwrap_or_else(|| -Vector3::z());
-    let along = (a * a + far * far - b * b) / (2.0 * far);
-    let off = (a * a - along * along).max(0.0).sqrt();
-    let down = feet.rotation * Vector3::new(0.4 * sign(side), -0.3, -1.0);
-    let across = down - ahead * down.dot(&ahead);
-    let across = across.try_normalize(1e-6).unwrap_or_else(|| feet.rotation * Vector3::y() * -1.0);
-    shoulder + ahead * along + across * off
-}
-
-/// The pose of a rod between two points: z along it.
-fn along(from: &Point3<f64>, to: &Point3<f64>) -> Isometry3<f64> {
-    let way = to - from;
-    let turn = UnitQuaternion::rotation_between(&Vector3::z(), &way)
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
-    Isometry3::from_parts(nalgebra::center(from, to).coords.into(), turn)
 }
 
 #[cfg(test)]
@@ -326,7 +268,7 @@ mod tests {
         for goal in [Point3::new(0.2, 0.8, 1.2), Point3::new(9.0, 9.0, 9.0), Point3::new(0.3, 1.0, 1.4)] {
             for side in [0, 1] {
                 let hand = within_reach(&feet, spec.height, side, &goal);
-                let elbow = elbow(&feet, spec.height, side, &hand);
+                let elbow = crate::figure::elbow(&feet, spec.height, side, &hand);
                 let upper = (elbow - shoulder(&feet, spec.height, side)).norm();
                 assert!((upper - UPPER_ARM * spec.height).abs() < 2e-3, "{upper}");
             }

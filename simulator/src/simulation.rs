@@ -21,6 +21,7 @@ use crate::cameras::{
 };
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
+use crate::figure;
 use crate::person::Person;
 use crate::physics::{External, Plant};
 use crate::referee::Referee;
@@ -29,7 +30,7 @@ use crate::sensing::RobotSensors;
 use crate::start;
 use crate::table::DirtGrid;
 use crate::table::WIPE_EVERY;
-use crate::truth::{TruthEvent, TruthSample, TruthSink};
+use crate::truth::{TrueReach, TruthEvent, TruthSample, TruthSink};
 use crate::world::{World, WorldEvent};
 
 /// One step, ns.
@@ -424,6 +425,8 @@ impl Simulation {
             truth.people.extend((0..self.people.len()).filter_map(|person| self.plant.distance(0, person)));
             truth.people_parts.clear();
             truth.people_parts.extend((0..self.people.len()).map(|person| self.plant.person(person)));
+            let reaches = self.people.iter().zip(&truth.people_parts).enumerate();
+            truth.reaches = reaches.filter_map(|(n, (person, parts))| true_reach(n, person, parts)).collect();
         }
         truth.contact = self.object.map(|object| self.plant.contact(object)).unwrap_or_default();
         let wrench = self.plant.wrench(0);
@@ -527,6 +530,14 @@ impl Drop for Simulation {
         self.robots.iter().for_each(|robot| robot.eyes.source().close());
         self.agents.iter().for_each(|agent| agent.source().close());
     }
+}
+
+/// What an arm of a person reaches for, and where its joints are.
+fn true_reach(index: usize, person: &Person, parts: &[Isometry3<f64>]) -> Option<TrueReach> {
+    let reach = person.reaches()?;
+    let [_, _, right_elbow, right_wrist, _, left_elbow, left_wrist] = figure::joints(person.spec(), parts)?;
+    let forearm = if reach.side == 0 { [right_elbow, right_wrist] } else { [left_elbow, left_wrist] };
+    Some(TrueReach { person: index, reach, forearm })
 }
 
 /// The arm that works as it truly is, with the links where it bends.

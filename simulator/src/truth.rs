@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use armarium_robot::LinkId;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use parking_lot::Mutex;
 use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
+use crate::person::Reach;
 pub use crate::physics::Contact;
 use crate::physics::{LedHand, PressedLoad, Touched};
 use crate::world::{Gesture, WorldEvent};
@@ -51,6 +52,8 @@ pub struct TruthSample {
     pub people: Vec<f64>,
     /// The poses of the parts of each person at that time, root frame.
     pub people_parts: Vec<Vec<Isometry3<f64>>>,
+    /// The arms of people that reach for places at that time.
+    pub reaches: Vec<TrueReach>,
     /// Whether that hand holds the judged object.
     pub held: bool,
     /// The coach's state.
@@ -59,6 +62,17 @@ pub struct TruthSample {
     pub wrist_force: Vector3<f64>,
     /// Torque of that hand on its wrench sensor, sensor's frame, without noise and bias, N m.
     pub wrist_torque: Vector3<f64>,
+}
+
+/// An arm of a person that reaches for a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrueReach {
+    /// The person, by their index.
+    pub person: usize,
+    /// What the arm does.
+    pub reach: Reach,
+    /// Its elbow and its wrist, root frame, m.
+    pub forearm: [Point3<f64>; 2],
 }
 
 impl TruthSample {

@@ -1,4 +1,4 @@
-//! Shared by force and vision coaching: applies the coaching law to the running motion, in step with the robot's
+//! Shared by coaching by force, by gestures and by arms: applies the coaching law to the running motion, in step with the robot's
 //! samples.
 //!
 //! It does not own the motion: each change is sent to the skill that executes it (see `running_motion/`).
@@ -25,12 +25,26 @@ pub(crate) struct Coaching {
 }
 
 impl Coaching {
-    /// Coaches the running motion that the input `motion` refers to.
+    /// Coaches the running motion that the input `motion` refers to, along the surface on which it runs.
     pub(crate) fn begin(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        Self::with(equipment, context, CoachConfig::default())
+    }
+
+    /// The same in any direction.
+    pub(crate) fn begin_in_space(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        Self::with(equipment, context, CoachConfig { normal: [0.0; 3], ..CoachConfig::default() })
+    }
+
+    fn with(equipment: &Equipment, context: &SkillContext, config: CoachConfig) -> Result<Self, Failure> {
         let motion = equipment.motions.edit(&context.entity("motion")?)?;
-        let coach = CoachedMotion::new(CoachConfig::default(), &motion.view()?).map_err(failed)?;
-        let senses = Senses::new(&*equipment.robot, context);
-        Ok(Self { senses, motion, coach, idle: 0.0, displacement: 0.0 })
+        let coach = CoachedMotion::new(config, &motion.view()?).map_err(failed)?;
+        Ok(Self {
+            senses: Senses::new(&*equipment.robot, context),
+            motion,
+            coach,
+            idle: 0.0,
+            displacement: 0.0,
+        })
     }
 
     /// Waits for the robot's next sample; returns the time since the previous one, s.
@@ -52,6 +66,9 @@ impl Coaching {
             CoachInput::Push { force } => CoachInput::Push { force: motion_from_root * force },
             CoachInput::Attract { hand } => CoachInput::Attract { hand: point(hand) },
             CoachInput::Repel { hand } => CoachInput::Repel { hand: point(hand) },
+            CoachInput::Along { at, direction } => {
+                CoachInput::Along { at: point(at), direction: motion_from_root * direction }
+            }
             CoachInput::Shift { direction } => CoachInput::Shift { direction: motion_from_root * direction },
             other => other,
         };

@@ -53,6 +53,7 @@ const CAMERAS: &[&str] = &[
     "VerifyGrasp",
     "MovementImitation",
     "VisionCoaching",
+    "BodyCoaching",
     "LookAt",
     "LookAround",
     "ModelEnvironment",

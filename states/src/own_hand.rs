@@ -1,5 +1,5 @@
-//! Where the own hand is at a time, as boxes around the parts that the robot's description draws: what a processor of pictures needs to
-//! leave the own body out.
+//! Where the own hand and the own body are at a time, as boxes around the parts that the robot's description draws: what a processor of
+//! pictures needs to leave them out.
 
 use armarium_robot::{Limb, LinkId};
 use armarium_runtime::skill::Failure;
@@ -50,6 +50,15 @@ pub(crate) fn own_hand(
             parts: parts.iter().map(|part| part.at(&equipment, stamp_ns)).collect::<Option<_>>()?,
         })
     })
+}
+
+/// Where all parts of the own body are at a time (ns) of the robot's samples; none for a time that is not known.
+pub(crate) fn own_body(equipment: &Equipment) -> impl Fn(u64) -> Vec<OwnPart> + Send + use<> {
+    let links = equipment.robot.model().links().iter();
+    let links = links.filter_map(|link| equipment.robot.model().link(&link.name));
+    let parts: Vec<LinkBox> = links.flat_map(|link| boxes(equipment, link)).collect();
+    let equipment = equipment.clone();
+    move |stamp_ns| parts.iter().filter_map(|part| part.at(&equipment, stamp_ns)).collect()
 }
 
 /// The boxes around the visible parts of a link.

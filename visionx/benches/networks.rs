@@ -42,6 +42,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (name, outputs) in [
         ("palm_detection_full.tflite", &["Identity", "Identity_1"][..]),
         ("hand_landmark_full.tflite", &["Identity", "Identity_1", "Identity_3"]),
+        ("pose_detection.tflite", &["Identity", "Identity_1"]),
+        ("pose_landmark_full.tflite", &["Identity", "Identity_1", "Identity_4"]),
     ] {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("models").join(name);
         let mut network = Network::read(&std::fs::read(&file)?, outputs)?;

@@ -8,7 +8,7 @@ use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
 use crate::mask::Region;
 use crate::tracking::hand::HandObservation;
-use crate::tracking::{HandInPicture, HandLandmarks, HandOutline, SkinSegmentation};
+use crate::tracking::{BodyLandmarks, HandInPicture, HandLandmarks, HandOutline, SkinSegmentation};
 
 /// Why a picture could not be encoded.
 #[derive(Debug, thiserror::Error)]
@@ -117,6 +117,18 @@ fn bones(image: &mut RgbImage, hand: &HandLandmarks) {
     for finger in hand.points[1..].chunks_exact(4) {
         let from = std::iter::once(&hand.points[0]).chain(finger);
         from.zip(finger).for_each(|(from, to)| line(image, from, to, [0, 255, 255]));
+    }
+}
+
+/// Draws a person's arms, shoulders and head.
+pub fn body(image: &mut RgbImage, body: &BodyLandmarks) {
+    for arm in [[12, 14], [14, 16], [11, 13], [13, 15], [11, 12]] {
+        let [from, to] = arm.map(|i| body.points[i]);
+        line(image, &from, &to, [0, 255, 255]);
+    }
+    for joint in [7, 8, 11, 12, 13, 14, 15, 16] {
+        let right = joint % 2 == 0;
+        circle(image, &body.points[joint], 4.0, if right { [255, 0, 0] } else { [0, 255, 0] });
     }
 }
 

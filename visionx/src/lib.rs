@@ -11,6 +11,7 @@
 //!   gesture and where it points.
 //! - [`segmentation`]: unknown things on a table, told apart by what moves together. [`TouchStep`]: that the own hand touches
 //!   something.
+//! - [`BodyObserver`]: a person's head, shoulders, elbows and wrists.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.
 //!   [`StereoStep`]: a tracker as a processing step. [`Sight`]: such a step at work on the pairs of this process.
@@ -39,6 +40,7 @@ mod minimize;
 pub mod network;
 mod outline;
 mod particles;
+mod people;
 mod plane;
 mod points;
 mod processor;
@@ -66,6 +68,7 @@ pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 pub use localizer::{ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate};
 pub use mask::{Mask, PixelRun, Region};
+pub use people::{BodyJoint, BodyObservation, BodyObserver, PeopleStep, SeenJoint};
 pub use processor::{
     ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy, Trigger, Workers,
     run_processor,

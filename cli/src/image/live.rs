@@ -12,9 +12,10 @@ use armarium_values::Observation;
 use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
-    ColorMarkerObjectTracking, EnvironmentModel, EnvironmentStep, FingertipStep, HandObserver, HandStep,
-    ImageError, ImageProcessor, MarkerStep, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Seen,
-    SeenBy, TabletopSegmentation, TabletopStep, Trigger, Workers, run_processor,
+    BodyObserver, ColorMarkerObjectTracking, EnvironmentModel, EnvironmentStep, FingertipStep, HandObserver,
+    HandStep, ImageError, ImageProcessor, MarkerStep, OfStereo, PeopleStep, ProcessorLoop,
+    ProcessorStatistics, ResultSink, Seen, SeenBy, TabletopSegmentation, TabletopStep, Trigger, Workers,
+    run_processor,
 };
 use async_trait::async_trait;
 use serde_json::{Value as Json, json};
@@ -41,6 +42,8 @@ pub(crate) enum LookFor {
     Tabletop,
     /// Tables, shelves, walls and the floor, by depth, over time; the provider must give the camera's pose.
     Environment,
+    /// Head, shoulders, elbows and wrists of a person.
+    People,
 }
 
 impl LookFor {
@@ -63,6 +66,10 @@ impl LookFor {
             Self::Environment => {
                 let model = EnvironmentModel::new(calibration.camera);
                 Box::new(OfStereo::new(EnvironmentStep::new(model, calibration.camera), pair))
+            }
+            Self::People => {
+                let step = PeopleStep::new(BodyObserver::new(calibration), |_| Vec::new());
+                Box::new(OfStereo::new(step, pair))
             }
         }
     }

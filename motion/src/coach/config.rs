@@ -79,6 +79,8 @@ constants! {
         standoff: f64 = 0.05, 0.0..=1e6;
         /// Upper bound on the change by one fist or 2-finger gesture, m.
         reach: f64 = 0.024, 0.0..=1e6;
+        /// Upper bound on the change by one push or pull of an arm, m.
+        arm_reach: f64 = 0.035, 0.0..=1e6;
         /// Time constant of a gesture, s.
         time_constant: f64 = 2.5, POSITIVE;
         /// The part of the path that a gesture moves: up to this far from the addressed phase, share of a period.

@@ -1,5 +1,5 @@
-//! Coaching of a running wiping motion in task space: attract (fist), repel (2-finger pointing), shift (1-finger
-//! pointing) and push (force). It changes the weights or the centre of the [`PeriodicDmp`] that is executed.
+//! Coaching of a running motion in task space: attract (fist), repel (2-finger pointing), shift (1-finger pointing), push (force),
+//! and along a direction (an arm). It changes the weights or the centre of the [`PeriodicDmp`] that is executed.
 //!
 //! It is based on the paper's coupling (eqs. 10, 13, 14, 16), for a path of some centimetres. Differences:
 //!
@@ -50,6 +50,13 @@ pub enum CoachInput {
         /// The hand.
         hand: Vector3<f64>,
     },
+    /// An arm beside the path: the near part moves along `direction` (any length).
+    Along {
+        /// Where the arm acts.
+        at: Vector3<f64>,
+        /// Direction of the change.
+        direction: Vector3<f64>,
+    },
     /// One finger: the whole motion moves along `direction` (any length).
     Shift {
         /// Direction of the shift.
@@ -75,7 +82,16 @@ enum InputKind {
     Push,
     Attract,
     Repel,
+    Along,
     Shift,
+}
+
+/// Where the near part of the path goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Way {
+    ToHand,
+    FromHand,
+    Along(Vector3<f64>),
 }
 
 /// Changes a running motion by the coach's input. One coach belongs to one primitive.
@@ -107,6 +123,8 @@ pub struct CoachedMotion {
 const HAND_SMOOTHING: f64 = 0.2;
 /// A hand farther than this from its smoothed position is moving and has no effect, m.
 const HAND_MOVES: f64 = 0.02;
+/// The same of an arm, which is seen less exactly, m.
+const ARM_MOVES: f64 = 0.05;
 /// How long a hand must stand still before it coaches, s.
 const HAND_STANDS: f64 = 0.3;
 /// How long a hand must be detected elsewhere before it has left its place: the least time, s, and the least share
@@ -178,6 +196,10 @@ impl CoachedMotion {
             CoachInput::Push { force } => (InputKind::Push, force),
             CoachInput::Attract { hand } => (InputKind::Attract, hand),
             CoachInput::Repel { hand } => (InputKind::Repel, hand),
+            CoachInput::Along { at, direction } => {
+                vector("direction", 3, direction.as_slice())?;
+                (InputKind::Along, at)
+            }
             CoachInput::Shift { direction } => (InputKind::Shift, direction),
         };
         vector("coach", 3, given.as_slice())?;
@@ -185,11 +207,13 @@ impl CoachedMotion {
             self.begin(kind, dmp);
         }
         self.idle = 0.0;
-        match kind {
-            InputKind::Push => self.push(dmp, omega * dt, given),
-            InputKind::Attract => self.gesture(dmp, dt, omega, given, 1.0),
-            InputKind::Repel => self.gesture(dmp, dt, omega, given, -1.0),
-            InputKind::Shift => self.shift(dmp, dt, given),
+        match input {
+            CoachInput::None => Ok(CoachReport::default()),
+            CoachInput::Push { force } => self.push(dmp, omega * dt, force),
+            CoachInput::Attract { hand } => self.gesture(dmp, (dt, omega), hand, Way::ToHand),
+            CoachInput::Repel { hand } => self.gesture(dmp, (dt, omega), hand, Way::FromHand),
+            CoachInput::Along { at, direction } => self.gesture(dmp, (dt, omega), at, Way::Along(direction)),
+            CoachInput::Shift { direction } => self.shift(dmp, dt, direction),
         }
     }
 
@@ -248,10 +272,9 @@ impl CoachedMotion {
     fn gesture(
         &mut self,
         dmp: &mut PeriodicDmp,
-        dt: f64,
-        omega: f64,
+        (dt, omega): (f64, f64),
         hand: Vector3<f64>,
-        sign: f64,
+        way: Way,
     ) -> Result<CoachReport, MotionError> {
         let Some(hand) = self.stands_at(hand, dt, omega) else {
             self.addressed = None;
@@ -264,11 +287,15 @@ impl CoachedMotion {
             self.addressed.is_none() && phase::is_ambiguous(self.path.len(), distance, self.arrival, row);
         let offset = hand - self.path[row];
         self.addressed = Some(phase);
-        let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
+        let wanted = match way {
+            Way::ToHand => offset,
+            Way::FromHand => -offset,
+            Way::Along(direction) => direction,
+        };
+        let Some(direction) = self.in_surface(wanted).try_normalize(1e-6) else {
             return Ok(CoachReport { phase, ..CoachReport::default() });
         };
-        let direction = sign * towards;
-        let goal = self.goal(nearest, offset.norm(), sign);
+        let goal = self.goal(nearest, offset.norm(), way);
         let here = self.response.row(dmp.phase());
         let wanted = goal * phase::window(dmp.phase() - phase, self.config.arc * std::f64::consts::TAU);
         let missing = wanted - self.moved(dmp, here).dot(&direction);
@@ -280,10 +307,13 @@ impl CoachedMotion {
     }
 
     /// The desired displacement of the path at the addressed phase, m.
-    fn goal(&self, in_surface: f64, distance: f64, sign: f64) -> f64 {
+    fn goal(&self, in_surface: f64, distance: f64, way: Way) -> f64 {
         let strength = self.config.field.strength(distance);
-        let room = if sign > 0.0 { (in_surface - self.config.standoff).max(0.0) } else { f64::INFINITY };
-        (self.config.reach * strength).min(room)
+        match way {
+            Way::ToHand => (self.config.reach * strength).min((in_surface - self.config.standoff).max(0.0)),
+            Way::FromHand => self.config.reach * strength,
+            Way::Along(_) => self.config.arm_reach * strength,
+        }
     }
 
     /// The position at which the hand stands, m, if it does. Short detections elsewhere are ignored: the robot's
@@ -292,8 +322,9 @@ impl CoachedMotion {
         let share = 1.0 - libm::exp(-dt / HAND_SMOOTHING);
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
         self.hand = Some(smooth);
-        self.still = if (hand - smooth).norm() < HAND_MOVES { self.still + dt } else { 0.0 };
-        let there = self.place.is_some_and(|place| (smooth - place).norm() < 2.0 * HAND_MOVES);
+        let moves = if self.event == Some(InputKind::Along) { ARM_MOVES } else { HAND_MOVES };
+        self.still = if (hand - smooth).norm() < moves { self.still + dt } else { 0.0 };
+        let there = self.place.is_some_and(|place| (smooth - place).norm() < 2.0 * moves);
         self.away = if there { 0.0 } else { self.away + dt };
         let passage = HAND_AWAY.0.max(HAND_AWAY.1 * std::f64::consts::TAU / omega.max(0.3));
         if !there && (self.place.is_none() || self.away > passage) {

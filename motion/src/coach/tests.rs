@@ -284,3 +284,38 @@ fn a_stored_field_with_the_angle_that_never_acted_is_read_or_refused_with_what_t
     let text = serde_json::to_string(&CoachConfig::default()).unwrap();
     assert_eq!(read(&text).unwrap(), CoachConfig::default());
 }
+
+#[test]
+fn an_arm_moves_the_near_part_along_its_direction_in_space() {
+    for (phase, direction) in [
+        (0.0, -Vector3::x()),
+        (0.25, Vector3::y()),
+        (0.5, Vector3::z()),
+        (0.75, Vector3::new(0.3, 0.8, -0.5)),
+    ] {
+        let mut dmp = wiping("ellipse", [0.16, 0.12]);
+        let start = dmp.steady_path(SAMPLES).unwrap();
+        let on_path = point(&start, TAU * phase);
+        let at = on_path + (on_path - centre_of(&dmp)).normalize() * 0.12;
+        let config = CoachConfig { normal: [0.0; 3], ..CoachConfig::default() };
+        let mut coach = CoachedMotion::new(config, &dmp).unwrap();
+        let omega = TAU * 0.3;
+        dmp.start_on_path(0.3, omega).unwrap();
+        for step in 0..(14.0 / DT) as usize {
+            // A body is seen less exactly than a hand.
+            let jitter = 0.015 * libm::sin(step as f64 * DT * 9.0) * Vector3::new(1.0, -1.0, 1.0);
+            coach.step(&mut dmp, DT, omega, CoachInput::Along { at: at + jitter, direction }).unwrap();
+            dmp.step(DT, omega).unwrap();
+        }
+        let end = dmp.steady_path(SAMPLES).unwrap();
+        let Change { at_phase, far_rms } = change(&start, &end, TAU * phase);
+        let moved = at_phase.dot(&direction.normalize());
+        assert!((0.022..0.037).contains(&moved), "{phase}: {moved}");
+        assert!((at_phase - moved * direction.normalize()).norm() < 0.004, "{phase}: {at_phase}");
+        assert!(far_rms < 0.005, "{phase}: {far_rms}");
+    }
+    let mut dmp = wiping("ellipse", [0.16, 0.12]);
+    let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
+    let wrong = CoachInput::Along { at: Vector3::zeros(), direction: Vector3::repeat(f64::NAN) };
+    assert!(coach.step(&mut dmp, DT, 1.0, wrong).is_err());
+}

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::NO_CAMERA;
 use crate::coach::CoachState;
-use crate::person;
+use crate::figure;
 use crate::render::hand::{HandPose, hand_shapes};
 use crate::render::robot::{link_shapes, robot_shapes};
 use crate::render::{Bump, DirtTexture, ExposureMotion, Shape, VisibleForm, VisibleScene};
@@ -102,8 +102,9 @@ pub(crate) struct Drawing {
     bumps: Arc<[Bump]>,
     dirt: Arc<DirtTexture>,
     objects: Vec<Vec<Visual>>,
-    /// The parts of each person, each in its own frame.
+    /// The solids of each person's parts, each in its own frame, and how they look.
     people: Vec<Vec<Visual>>,
+    looks: Vec<Vec<Vec<Visual>>>,
     tool_color: [u8; 3],
 }
 
@@ -123,7 +124,8 @@ impl Drawing {
             bumps: table.bumps().to_vec().into(),
             dirt: Arc::new(blotches(world, table, seed)),
             objects: start::bodies(world, table).iter().map(|body| body.spec.parts()).collect(),
-            people: world.people().map(person::parts).collect(),
+            people: world.people().map(figure::parts).collect(),
+            looks: world.people().map(figure::looks).collect(),
             tool_color: world.coach.tool.color,
         }
     }
@@ -217,9 +219,8 @@ impl Drawing {
         for (parts, pose) in self.objects.iter().zip(places.objects) {
             shapes.extend(link_shapes(parts, pose));
         }
-        for (parts, poses) in self.people.iter().zip(places.people) {
-            let parts = parts.iter().zip(poses);
-            shapes.extend(parts.flat_map(|(part, pose)| link_shapes(std::slice::from_ref(part), pose)));
+        for (parts, poses) in self.looks.iter().zip(places.people) {
+            shapes.extend(parts.iter().zip(poses).flat_map(|(part, pose)| link_shapes(part, pose)));
         }
         if let Some(pose) = &places.tool {
             shapes.extend(tool(pose, self.tool_color));

@@ -8,6 +8,8 @@ mod distant;
 mod drawing;
 #[cfg(test)]
 mod gestures;
+#[cfg(test)]
+mod people;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

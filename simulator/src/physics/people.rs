@@ -11,7 +11,8 @@ use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 use super::build::{add_person_part, person_groups};
 use super::convert;
 use super::robot::ArmWithHand;
-use crate::person::{Posture, parts, poses};
+use crate::figure::{parts, poses};
+use crate::person::Posture;
 use crate::world::PersonSpec;
 
 /// Stiffness of a person's grip, N/m: of the skin of a palm that holds something.

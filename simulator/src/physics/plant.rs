@@ -227,7 +227,7 @@ impl Plant {
         }
     }
 
-    /// The poses of the parts of a person, in the order of [`parts`](crate::person::parts).
+    /// The poses of the parts of a person, in the order of [`parts`](crate::figure::parts).
     pub fn person(&self, person: usize) -> Vec<Isometry3<f64>> {
         self.people.get(person).map_or_else(Vec::new, |person| person.poses(&self.physics.bodies))
     }

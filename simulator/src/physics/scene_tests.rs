@@ -154,7 +154,7 @@ bodies: [{{name: wall, size: [0.3, 0.3, 1.5], mass: 50 kg, friction: 1.0, at: [-
     room.go(0.2);
     // The hand wants to be 10 cm inside of the wall.
     let wall = room.at("wall") - Vector3::y() * 0.15;
-    let goal = nalgebra::Point3::new(wall.x, wall.y + 0.1 - crate::person::HAND_RADIUS, 1.2);
+    let goal = nalgebra::Point3::new(wall.x, wall.y + 0.1 - crate::figure::HAND_RADIUS, 1.2);
     let from = wanted.hands[0];
     for i in 1..=1000 {
         wanted.hands[0] = from + (goal - from) * (f64::from(i) / 1000.0);
@@ -166,7 +166,7 @@ bodies: [{{name: wall, size: [0.3, 0.3, 1.5], mass: 50 kg, friction: 1.0, at: [-
         room.go(DT);
     }
     let hand = room.plant.person(0)[8].translation.vector;
-    assert!((hand.y + crate::person::HAND_RADIUS - wall.y).abs() < 3e-3, "{hand} {wall}");
+    assert!((hand.y + crate::figure::HAND_RADIUS - wall.y).abs() < 3e-3, "{hand} {wall}");
 }
 
 #[test]

@@ -271,19 +271,20 @@ fn reached(track: &[(u64, f64)], theta: f64) -> Option<f64> {
 }
 
 /// The shift at a phase: the mean over a thirty-second of the period around it.
-fn shift_at(before: &Period, after: &Period, index: usize) -> Vector3<f64> {
+pub(super) fn shift_at(before: &Period, after: &Period, index: usize) -> Vector3<f64> {
     let reach = POINTS / 64;
     let around = (0..=2 * reach).map(|k| (index + POINTS + k - reach) % POINTS);
     around.map(|i| after[i] - before[i]).sum::<Vector3<f64>>() / (2 * reach + 1) as f64
 }
 
-fn far_side(before: &Period, after: &Period, index: usize) -> f64 {
+/// RMS shift of the phases more than a quarter period away, m.
+pub(super) fn far_side(before: &Period, after: &Period, index: usize) -> f64 {
     let far = (POINTS / 4 + 1..POINTS - POINTS / 4).map(|k| (index + k) % POINTS);
     let (sum, count) = far.fold((0.0, 0), |(s, n), i| (s + (after[i] - before[i]).norm_squared(), n + 1));
     (sum / f64::from(count)).sqrt()
 }
 
-fn angle_deg(shift: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+pub(super) fn angle_deg(shift: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
     let flat = |v: &Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
     let (a, b) = (flat(shift).try_normalize(1e-6)?, flat(direction).try_normalize(1e-6)?);
     Some(libm::acos(a.dot(&b).clamp(-1.0, 1.0)).to_degrees())

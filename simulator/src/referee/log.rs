@@ -7,12 +7,15 @@ use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
 use crate::physics::{LedHand, PressedLoad, Touched};
-use crate::truth::{FrameTruth, TruthEvent, TruthSample};
+use crate::truth::{FrameTruth, TrueReach, TruthEvent, TruthSample};
 
 /// Largest number of samples: 20 minutes. Later ones are dropped, and `truncated` is set.
 const MAX_SAMPLES: usize = 1_200_000;
 /// Largest number of frames and gestures.
 pub(super) const MAX_FRAMES: usize = 100_000;
+
+/// An arm that was not seen to reach for this long has come back, ns.
+const GOES_ON_NS: u64 = 100_000_000;
 
 /// How far an object that is not in question must have moved for its place to be logged anew, m.
 const MOVED: f64 = 1e-4;
@@ -94,6 +97,28 @@ pub(super) struct NeededThing {
     pub(super) to_ns: Option<u64>,
 }
 
+/// An arm of a person that reached for a place and came back.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct LoggedReach {
+    /// The person and the action, by their indices.
+    of: (usize, usize),
+    /// Which arm: 0 right, 1 left.
+    pub(super) side: usize,
+    /// When the hand set out, and when it was back, ns.
+    pub(super) began_ns: u64,
+    pub(super) ended_ns: u64,
+    /// The sums of the places of elbow and wrist while the hand was there, m, and of how many samples.
+    sums: [Vector3<f64>; 2],
+    held: u32,
+}
+
+impl LoggedReach {
+    /// The middles of elbow and wrist while the hand was there, root frame, m.
+    pub(super) fn forearm(&self) -> Option<[Vector3<f64>; 2]> {
+        (self.held > 0).then(|| self.sums.map(|sum| sum / f64::from(self.held)))
+    }
+}
+
 /// The log of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TruthLog {
@@ -111,6 +136,8 @@ pub struct TruthLog {
     pub(super) pressed: Vec<(u64, PressedLoad, Isometry3<f64>)>,
     /// The TCPs of the first robot's first two arms, each millisecond in a world with handles.
     pub(super) tcps: Vec<(u64, [Isometry3<f64>; 2])>,
+    /// What the arms of people reached for, in order of time.
+    pub(super) reaches: Vec<LoggedReach>,
     /// The hands that people led, each millisecond.
     pub(super) led: Vec<(u64, LedHand)>,
     /// What the robot's memory told of the surfaces around it: when, ns, the surface's name, and `None` when it is no longer known.
@@ -159,6 +186,7 @@ impl TruthLog {
             self.tcps.push((s.stamp_ns, [first, second]));
         }
         self.led.extend(s.led.iter().map(|hand| (s.stamp_ns, *hand)));
+        s.reaches.iter().for_each(|reach| self.reach(s.stamp_ns, reach));
         for (object, pose) in s.objects.iter().enumerate() {
             self.ends.entry(object).or_insert([*pose; 2])[1] = *pose;
         }
@@ -185,6 +213,27 @@ impl TruthLog {
             if !places.last().is_some_and(|(_, last)| near(last)) && places.len() < MAX_FRAMES {
                 places.push((s.stamp_ns, *pose));
             }
+        }
+    }
+
+    fn reach(&mut self, stamp_ns: u64, now: &TrueReach) {
+        let TrueReach { person, reach, forearm } = now;
+        let of = (*person, reach.action);
+        let goes_on = |known: &LoggedReach| known.of == of && stamp_ns - known.ended_ns < GOES_ON_NS;
+        let known = self.reaches.iter().rposition(goes_on).unwrap_or(self.reaches.len());
+        if known >= MAX_FRAMES {
+            return;
+        }
+        if known == self.reaches.len() {
+            let (sums, side) = ([Vector3::zeros(); 2], reach.side);
+            let first = LoggedReach { of, side, began_ns: stamp_ns, ended_ns: stamp_ns, sums, held: 0 };
+            self.reaches.push(first);
+        }
+        let known = &mut self.reaches[known];
+        known.ended_ns = stamp_ns;
+        if reach.holds {
+            known.held += 1;
+            known.sums.iter_mut().zip(forearm).for_each(|(sum, joint)| *sum += joint.coords);
         }
     }
 

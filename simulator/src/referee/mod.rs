@@ -2,9 +2,10 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `body_coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
+mod body_coached;
 mod carrying;
 mod coached;
 mod environment;

@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 
 use super::run::JudgedRun;
 use super::{
-    bodies, carrying, coached, environment, force, gaze, gestures, grasp, guiding, imitation,
+    bodies, body_coached, carrying, coached, environment, force, gaze, gestures, grasp, guiding, imitation,
     learning_together, people, reaching, segmentation, touch, wiped,
 };
 
@@ -26,13 +26,14 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 16] = [
+const PROBES: [&Probe; 17] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
     &wiped::PROBE,
     &gestures::PROBE,
     &coached::PROBE,
+    &body_coached::PROBE,
     &bodies::PROBE,
     &people::PROBE,
     &guiding::PROBE,

@@ -4,10 +4,12 @@
 //! palm (the side to which fingers bend), y to the side of the thumb. The measures are those of an adult: palm 85 x
 //! 90 x 28 mm, middle finger 94 mm over its knuckle, 102 mm with its tip.
 
+use armarium_robot::{Geometry, Visual};
 use armarium_visionx::Gesture;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::scene::{Shape, VisibleForm};
+use super::robot::link_shapes;
+use super::scene::Shape;
 
 /// Mean colour of the skin, RGB; the parts differ from it by a few percent in brightness.
 pub const SKIN: [u8; 3] = [224, 172, 138];
@@ -89,7 +91,14 @@ impl HandPose {
 
 /// The shapes of the hand in a pose, with its forearm.
 pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
-    let mut shapes = vec![palm_core(scene_from_hand)];
+    let mut shapes = link_shapes(&hand_visuals(pose), scene_from_hand);
+    shapes.extend(link_shapes(&forearm(), scene_from_hand));
+    shapes
+}
+
+/// The hand in a pose without its forearm, in the hand frame.
+pub fn hand_visuals(pose: &HandPose) -> Vec<Visual> {
+    let mut visuals = vec![palm_core()];
     let parts = [(thumb(pose), 0.98), (palm(), 1.0)].into_iter();
     let fingers = FINGERS
         .iter()
@@ -98,11 +107,10 @@ pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Sha
     for (segments, brightness) in parts.chain(fingers) {
         for (i, segment) in segments.iter().enumerate() {
             // Fingers redden towards their tips.
-            shapes.push(segment.shape(tinted(SKIN, brightness, 0.012 * i as f64), scene_from_hand));
+            visuals.push(segment.visual(tinted(SKIN, brightness, 0.012 * i as f64)));
         }
     }
-    shapes.extend(forearm(scene_from_hand));
-    shapes
+    visuals
 }
 
 /// The centres of the rounded fingertips in the hand frame, m, from thumb to little finger. The fingers end one
@@ -173,33 +181,35 @@ fn palm() -> Vec<Capsule> {
 }
 
 /// The body that fills the gaps between the metacarpals.
-fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
-    let half = Vector3::new(0.0128, 0.0235, 0.042);
-    Shape::new(VisibleForm::Box { half }, *scene_from_hand, SKIN)
+fn palm_core() -> Visual {
+    let size = 2.0 * Vector3::new(0.0128, 0.0235, 0.042);
+    Visual { shape: Geometry::Box { size }, link_from_shape: Isometry3::identity(), color: SKIN }
 }
 
 /// Wrist and sleeve.
-fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
+fn forearm() -> Vec<Visual> {
     let wrist =
         |y: f64| Capsule { from: Point3::new(0.0, y, -0.04), to: Point3::new(0.0, y, -0.12), radius: 0.021 };
-    let mut shapes: Vec<_> =
-        [-0.0095, 0.0095].iter().map(|&y| wrist(y).shape(tinted(SKIN, 0.97, 0.0), scene_from_hand)).collect();
-    let middle = Isometry3::translation(0.0, 0.0, -0.26);
-    let sleeve = VisibleForm::Cylinder { radius: 0.043, half_length: 0.16 };
-    shapes.push(Shape::new(sleeve, scene_from_hand * middle, SLEEVE));
-    shapes
+    let mut visuals: Vec<_> =
+        [-0.0095, 0.0095].iter().map(|&y| wrist(y).visual(tinted(SKIN, 0.97, 0.0))).collect();
+    visuals.push(Visual {
+        shape: Geometry::Cylinder { radius: 0.043, length: 0.32 },
+        link_from_shape: Isometry3::translation(0.0, 0.0, -0.26),
+        color: SLEEVE,
+    });
+    visuals
 }
 
 impl Capsule {
-    fn shape(&self, color: [u8; 3], scene_from_hand: &Isometry3<f64>) -> Shape {
+    fn visual(&self, color: [u8; 3]) -> Visual {
         let along = self.to - self.from;
         // A rotation to the opposite of z needs an axis; any perpendicular one will do.
         let turn = Rotation3::rotation_between(&Vector3::z(), &along)
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let middle = Translation3::from(self.from.coords + along / 2.0);
-        let hand_from_shape = Isometry3::from_parts(middle, UnitQuaternion::from_rotation_matrix(&turn));
-        let form = VisibleForm::Capsule { radius: self.radius, half_length: along.norm() / 2.0 };
-        Shape::new(form, scene_from_hand * hand_from_shape, color)
+        let link_from_shape = Isometry3::from_parts(middle, UnitQuaternion::from_rotation_matrix(&turn));
+        let shape = Geometry::Capsule { radius: self.radius, length: along.norm() };
+        Visual { shape, link_from_shape, color }
     }
 }
 

@@ -36,7 +36,7 @@ pub use coach::{
     Timing, ToolSpec,
 };
 pub use faults::{Disturbance, Faults, ImageFault, WorldEvent, WrenchFault};
-pub use person::{ActorSpec, PersonAction, PersonSpec, Side};
+pub use person::{ActorSpec, PersonAction, PersonSpec, Side, Sleeves};
 pub use physics::{DepthSpec, Imperfections, Physics};
 
 /// Standard gravity, m/s², along the world's negative z.
@@ -52,13 +52,14 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 16] = [
+pub const PROBES: [&str; 17] = [
     "grasp",
     "imitation",
     "force",
     "wiped_fraction",
     "gestures",
     "coaching",
+    "body_coaching",
     "bodies",
     "people",
     "guiding",
@@ -107,7 +108,7 @@ form! {
         pub coach: CoachSpec = CoachSpec::default();
         /// People who act: the coach, and others who keep to a schedule.
         pub actors: Vec<ActorSpec> = Vec::new(), Rule::most(MAX_ACTORS);
-        /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `bodies`,
+        /// The probes that judge the run: `grasp`, `imitation`, `force`, `wiped_fraction`, `gestures`, `coaching`, `body_coaching`, `bodies`,
         /// `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`; by default each that finds something.
         pub probes: Vec<String> = Vec::new(), Rule { most: MAX_LIST, ..Rule::NAME };
         /// Sensors that are broken.

@@ -50,6 +50,8 @@ form! {
         pub tremor: f64 = 0.001, Rule::number("m", 0.0, 0.05);
         /// Colour of the clothes above the waist, RGB.
         pub color: [u8; 3] = [70, 90, 140], COLOR;
+        /// How far the sleeves reach: to the wrists, or over the shoulders.
+        pub sleeves: Sleeves = Sleeves::Long;
         /// What the person does, one after the other.
         pub does: Vec<PersonAction> = Vec::new(), Rule::most(MAX_ACTIONS);
         /// Whether it all begins again at the end.
@@ -84,6 +86,18 @@ form! {
         pub duration as "for": f64 = 2.0, Rule::number("s", 0.0, 3600.0);
     }
 }
+
+/// How far sleeves reach.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sleeves {
+    /// To the wrists.
+    #[default]
+    Long,
+    /// Over the shoulders; the forearms are bare.
+    Short,
+}
+choice!(Sleeves { "long" => Self::Long, "short" => Self::Short });
 
 /// One of two hands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

@@ -8,6 +8,7 @@ mod arrival;
 mod carried;
 mod hand;
 mod memory;
+mod person;
 mod surroundings;
 mod wrist;
 
@@ -24,7 +25,7 @@ pub use memory::memory;
 
 /// The channels that the observers and skills of this room publish, and the core segments of memory that charts can observe.
 pub fn channels() -> ChannelSchema {
-    let schema: ChannelSchema = [hand(), motion(), wrist()].into_iter().collect();
+    let schema: ChannelSchema = [hand(), motion(), person(), wrist()].into_iter().collect();
     core_segments().into_values().fold(schema, |schema, segment| schema.with_segment(described(segment)))
 }
 
@@ -85,6 +86,30 @@ fn motion() -> ChannelDescription {
     }
 }
 
+fn person() -> ChannelDescription {
+    let channel = ChannelDescription::new("person", "The person before the robot as the cameras see them.");
+    let fields = [
+        ("seen", Type::Bool, "whether somebody is seen"),
+        ("confidence", Type::FLOAT, "0 to 1"),
+        ("position", Type::Vector, "of the middle of the shoulders, m"),
+        (
+            "keypoints",
+            Type::map(Type::Vector),
+            "of head, shoulders, elbows and wrists by name, such as `right_wrist`, m",
+        ),
+        (
+            "covariances",
+            Type::map(Type::list(Type::FLOAT)),
+            "nine numbers for each of these: its covariance, m², row by row",
+        ),
+    ];
+    ChannelDescription {
+        rate: "each frame, while a chart or skill reads it".into(),
+        publishers: vec!["observer of `person`".into()],
+        ..channel.with_fields(documented(fields))
+    }
+}
+
 fn wrist() -> ChannelDescription {
     let vector = || Type::list(Type::quantity(Unit::N));
     let felt = "What the wrist's force sensor of the arm that executes the motion, or else of the arm that works, feels, compensated for the weight of hand and load.";
@@ -111,6 +136,7 @@ pub fn start(equipment: &Equipment, channels: &Channels) -> Vec<JoinHandle<()>> 
     vec![
         tokio::spawn(wrist::observe(equipment.clone(), channels.clone())),
         tokio::spawn(hand::observe(equipment.clone(), channels.clone())),
+        tokio::spawn(person::observe(equipment.clone(), channels.clone())),
         tokio::spawn(surroundings::observe(equipment.clone())),
         tokio::spawn(carried::observe(equipment.clone())),
     ]

@@ -3,6 +3,7 @@
 mod approach_object;
 mod attach_object;
 mod bimanual_servo;
+mod body_coaching;
 mod calibrate_hand_eye;
 mod carry_together;
 mod choose_push;
@@ -65,7 +66,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         movement_imitation imitate_motion recall_motion keep_motion
         force_adaptation execute_motion play_motion force_coaching force_guiding
         squeeze_together carry_together learn_together put_down_together
-        vision_coaching gaze_selection
+        vision_coaching body_coaching gaze_selection
         segment_scene choose_push push_object learn_things recognize_things
     ]
 }

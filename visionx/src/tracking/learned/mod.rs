@@ -7,6 +7,8 @@
 //! # Source
 //! Zhang et al. 2020, "MediaPipe Hands: On-device Real-time Hand Tracking".
 
+mod body;
+mod candidates;
 mod fingers;
 mod landmarks;
 mod palms;
@@ -22,12 +24,14 @@ use crate::frame::RgbImage;
 use crate::mask::Region;
 use crate::network::Network;
 use crate::tracking::hand::Fingertip;
+pub use body::{BodyLandmarks, LearnedBodyDetector};
 pub use fingers::FingerBends;
 pub use landmarks::HandLandmarks;
 use square::Square;
 
-static PALMS: LazyLock<Network> =
-    LazyLock::new(|| shipped(include_bytes!("../../../models/palm_detection_full.tflite"), &palms::OUTPUTS));
+static PALMS: LazyLock<Network> = LazyLock::new(|| {
+    shipped(include_bytes!("../../../models/palm_detection_full.tflite"), &candidates::OUTPUTS)
+});
 static LANDMARKS: LazyLock<Network> = LazyLock::new(|| {
     shipped(include_bytes!("../../../models/hand_landmark_full.tflite"), &landmarks::OUTPUTS)
 });
@@ -91,8 +95,8 @@ impl LearnedHandDetector {
         // In a sequence the hand may come later; a single image is searched thoroughly.
         let scales = if self.follows { &SCALES[..1] } else { &SCALES[..] };
         let hand = scales.iter().find_map(|scale| {
-            let palms = palms::find(&mut self.palms, image, *scale);
-            let mut squares = palms.into_iter().take(PALMS_TRIED).filter_map(|palm| palm.square());
+            let palms: Vec<palms::Palm> = palms::PALMS.find(&mut self.palms, image, *scale);
+            let mut squares = palms.iter().take(PALMS_TRIED).filter_map(palms::square);
             squares.find_map(|square| landmarks::in_square(&mut self.landmarks, image, &square))
         })?;
         // A square around the landmarks fits the hand better than one around its palm.

@@ -41,6 +41,11 @@ impl Square {
         Vector2::new(self.down.y, -self.down.x)
     }
 
+    /// The square, if it can be sampled.
+    pub(super) fn usable(self) -> Option<Self> {
+        (self.side >= 1.0 && self.side.is_finite() && self.center.coords.amax().is_finite()).then_some(self)
+    }
+
     /// A point of the image, px, from its place in the square: 0 to 1 from the left and from the top.
     pub(super) fn in_image(&self, x: f64, y: f64) -> Point2<f64> {
         self.center + self.right() * ((x - 0.5) * self.side) + self.down * ((y - 0.5) * self.side)
