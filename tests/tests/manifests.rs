@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use armarium_host::{Console, RunConfig, Silent, SkillFactory, catalog, run};
 use armarium_memoryx::{Commit, EntityId};
-use armarium_motion::{Motion, PeriodicDmp, PeriodicDmpConfig, PhaseSample, SurfaceCorrection};
+use armarium_motion::{
+    Motion, PeriodicDmp, PeriodicDmpConfig, PeriodicOrientationDmp, PhaseSample, SurfaceCorrection,
+};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_states::Equipment;
@@ -49,7 +51,19 @@ states:
         initial: AtNeeds
         states:
           AtNeeds: {skill: GazeSelection}
-    after: {600ms: Done}
+    after: {600ms: Play}
+  Play:
+    parallel:
+      Execution:
+        initial: Playing
+        states:
+          Playing: {skill: PlayMotion, with: {motion: "${Put.motion}", periods: 0}}
+      Coaching:
+        initial: Early
+        states:
+          Early: {after: {100ms: ByArms}}
+          ByArms: {skill: BodyCoaching, with: {motion: "${Put.motion}"}}
+    after: {4s: Done}
   Done: {final: success}
 "#;
 
@@ -135,7 +149,10 @@ impl Skill for PutMotion {
             let mut circle = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
             circle.learn_batch(&(0..200).map(sample).collect::<Vec<_>>()).unwrap();
             let surface = SurfaceCorrection::new(vec![0.0; 36], 90.0, [0.0, 0.0, 1.0]).unwrap();
+            let mut turning = PeriodicOrientationDmp::new(PeriodicDmpConfig::default()).unwrap();
+            turning.learn_period(&[tcp.rotation; 8]).unwrap();
             let motion = Motion::in_space("circle", "root", 0.4, circle).unwrap().with_surface(Some(surface));
+            let motion = motion.with_orientation(Some(turning));
             let json = serde_json::to_value(&motion).unwrap();
             let id = EntityId::new("Motions", &agent, "circle").unwrap();
             let attributes = BTreeMap::from([("motion".to_owned(), Value::from_json(&json))]);

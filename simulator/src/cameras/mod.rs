@@ -9,7 +9,7 @@ mod drawing;
 #[cfg(test)]
 mod gestures;
 #[cfg(test)]
-mod people;
+mod people_tests;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

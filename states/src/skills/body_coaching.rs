@@ -51,7 +51,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (distance, within) = (context.number("distance")?, context.number("within")?);
     let patience = context.number("patience")?;
     let mut coaching = Coaching::begin_in_space(&equipment, &context)?;
-    let _frames_are_wanted = context.channels.demand("person");
+    let _both_are_wanted = ["person", "motion"].map(|name| context.channels.demand(name));
     let mut direction: Option<Vector3<f64>> = None;
     loop {
         let dt = coaching.next().await?;
