@@ -39,6 +39,7 @@ mod mask;
 mod minimize;
 pub mod network;
 mod outline;
+mod own_part;
 mod particles;
 mod people;
 mod plane;
@@ -68,6 +69,7 @@ pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 pub use localizer::{ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate};
 pub use mask::{Mask, PixelRun, Region};
+pub use own_part::OwnPart;
 pub use people::{BodyJoint, BodyObservation, BodyObserver, PeopleStep, SeenJoint};
 pub use processor::{
     ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Seen, SeenBy, Trigger, Workers,
@@ -77,5 +79,5 @@ pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
 pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
-pub use touch::{OwnFinger, OwnHand, OwnPart, TouchStep, TouchedTable};
+pub use touch::{OwnFinger, OwnHand, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

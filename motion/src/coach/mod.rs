@@ -185,7 +185,8 @@ impl CoachedMotion {
         positive("dt", dt)?;
         within("omega", omega, 0.0, 1e6)?;
         size("weights", self.weights.len(), dmp.weights().len())?;
-        let (kind, given) = match input {
+        // What acts, where or how, and the direction of an arm.
+        let (kind, given, direction) = match input {
             CoachInput::None => {
                 self.idle += dt;
                 if self.idle > self.config.pause {
@@ -193,27 +194,24 @@ impl CoachedMotion {
                 }
                 return Ok(CoachReport::default());
             }
-            CoachInput::Push { force } => (InputKind::Push, force),
-            CoachInput::Attract { hand } => (InputKind::Attract, hand),
-            CoachInput::Repel { hand } => (InputKind::Repel, hand),
-            CoachInput::Along { at, direction } => {
-                vector("direction", 3, direction.as_slice())?;
-                (InputKind::Along, at)
-            }
-            CoachInput::Shift { direction } => (InputKind::Shift, direction),
+            CoachInput::Push { force } => (InputKind::Push, force, Vector3::zeros()),
+            CoachInput::Attract { hand } => (InputKind::Attract, hand, Vector3::zeros()),
+            CoachInput::Repel { hand } => (InputKind::Repel, hand, Vector3::zeros()),
+            CoachInput::Along { at, direction } => (InputKind::Along, at, direction),
+            CoachInput::Shift { direction } => (InputKind::Shift, direction, Vector3::zeros()),
         };
+        vector("direction", 3, direction.as_slice())?;
         vector("coach", 3, given.as_slice())?;
         if self.event != Some(kind) {
             self.begin(kind, dmp);
         }
         self.idle = 0.0;
-        match input {
-            CoachInput::None => Ok(CoachReport::default()),
-            CoachInput::Push { force } => self.push(dmp, omega * dt, force),
-            CoachInput::Attract { hand } => self.gesture(dmp, (dt, omega), hand, Way::ToHand),
-            CoachInput::Repel { hand } => self.gesture(dmp, (dt, omega), hand, Way::FromHand),
-            CoachInput::Along { at, direction } => self.gesture(dmp, (dt, omega), at, Way::Along(direction)),
-            CoachInput::Shift { direction } => self.shift(dmp, dt, direction),
+        match kind {
+            InputKind::Push => self.push(dmp, omega * dt, given),
+            InputKind::Attract => self.gesture(dmp, (dt, omega), given, Way::ToHand),
+            InputKind::Repel => self.gesture(dmp, (dt, omega), given, Way::FromHand),
+            InputKind::Along => self.gesture(dmp, (dt, omega), given, Way::Along(direction)),
+            InputKind::Shift => self.shift(dmp, dt, given),
         }
     }
 

@@ -3,14 +3,13 @@
 
 use armarium_values::report::Requirement::{AtLeast, AtMost};
 use armarium_values::report::{Block, Cell, Figure, Section, Table};
-use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::Milestone;
-use super::coached::{angle_deg, far_side, shift_at};
 use super::log::LoggedReach;
-use super::paths::{POINTS, Period, aligned, mean_period, positions, repeat_period};
+use super::path_change::{PathChange, far_side_moved, kept};
+use super::paths::{POINTS, aligned, mean_period, positions, repeat_period};
 use super::probes::{Probe, cell, figure, of_each, table_of, things};
 use super::run::{JudgedRun, ns, seconds};
 
@@ -38,18 +37,9 @@ struct ArmFigures {
     at_s: f64,
     /// Unit vector of the intended shift, root frame.
     direction: [f64; 3],
-    /// Signed shift of the executed path along the direction, where the path is nearest to the wrist, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    displacement_m: Option<f64>,
-    /// Angle between the horizontal shift there and the direction, degrees.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    direction_error_deg: Option<f64>,
-    /// The same shift two cycles after the arm has gone, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    retained_m: Option<f64>,
-    /// RMS shift of the phases more than a quarter period away, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    far_side_rms_m: Option<f64>,
+    /// How far the path was moved where it is nearest to the wrist.
+    #[serde(flatten)]
+    change: PathChange,
 }
 
 fn figures(run: &JudgedRun<'_>) -> Vec<ArmFigures> {
@@ -83,31 +73,20 @@ fn changed(run: &JudgedRun<'_>, reach: &LoggedReach, (from, until): (u64, u64)) 
         let path = positions(run.log.between(from, (from + ns(2.5 * period_s)).min(until)));
         mean_period(&path, period_s, 1).map(|period| aligned(&before, &period))
     };
-    let shift = |after: &Period| -> Vector3<f64> { shift_at(&before, after, nearest) };
-    let at_once = after(reach.ended_ns + ns(SETTLES_S));
-    let later = after(reach.ended_ns + ns(2.0 * period_s));
-    Some(ArmFigures {
-        kind,
-        at_s: seconds(reach.began_ns),
-        direction: direction.into(),
-        displacement_m: at_once.as_ref().map(|after| shift(after).dot(&direction)),
-        direction_error_deg: at_once.as_ref().and_then(|after| angle_deg(&shift(after), &direction)),
-        retained_m: later.as_ref().map(|after| shift(after).dot(&direction)),
-        far_side_rms_m: at_once.as_ref().map(|after| far_side(&before, after, nearest)),
-    })
+    let [at_once, later] = [SETTLES_S, 2.0 * period_s].map(|waited| after(reach.ended_ns + ns(waited)));
+    let change = PathChange::measured(&before, [at_once, later], nearest, &direction);
+    Some(ArmFigures { kind, at_s: seconds(reach.began_ns), direction: direction.into(), change })
 }
 
 fn asks(index: usize, reach: &Value) -> Vec<Figure> {
     let kind = reach["kind"].as_str().unwrap_or_default();
     let group = format!("Arm {}: {kind}", index + 1);
     let of = |name, key, unit, requirement| figure((&group, name), reach, key, unit, requirement);
-    let number = |key: &str| reach.get(key).and_then(Value::as_f64);
-    let kept = number("retained_m").zip(number("displacement_m")).map(|(kept, all)| kept / all * 100.0);
     vec![
         of("moved its way", ("displacement_m", 1e3), ("mm", 1), AtLeast(20.0)),
         of("off its way", ("direction_error_deg", 1.0), ("°", 1), AtMost(30.0)),
-        Figure { value: kept, ..of("kept after two cycles", ("", 1.0), ("%", 0), AtLeast(80.0)) },
-        of("far side moved, RMS", ("far_side_rms_m", 1e3), ("mm", 1), AtMost(5.0)),
+        kept(&group, reach),
+        far_side_moved(&group, reach),
     ]
 }
 

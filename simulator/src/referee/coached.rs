@@ -8,7 +8,8 @@ use serde_json::Value;
 
 use super::Milestone;
 use super::log::Record;
-use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
+use super::path_change::{PathChange, far_side_moved, kept};
+use super::paths::{Period, aligned, index_of_phase, mean_period, positions, repeat_period};
 use super::probes::{Probe, cell, figure, of_each, table_of, things};
 use super::run::{JudgedRun, ns};
 use crate::coach::{ActionKind, EventKind, PhaseTracker};
@@ -42,18 +43,9 @@ struct CoachingFigures {
     /// Unit vector of the intended shift, root frame; `None` for the open hand.
     #[serde(skip_serializing_if = "Option::is_none")]
     direction: Option<[f64; 3]>,
-    /// Signed shift of the executed path at the coached phase along the direction, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    displacement_m: Option<f64>,
-    /// Angle between the horizontal shift at the coached phase and the direction, degrees.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    direction_error_deg: Option<f64>,
-    /// The same shift two cycles after the coach has gone, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    retained_m: Option<f64>,
-    /// RMS shift of the phases more than a quarter period away, m; not for `point_one`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    far_side_rms_m: Option<f64>,
+    /// How far the path was moved at the coached phase; the far side not for `point_one`.
+    #[serde(flatten)]
+    change: PathChange,
     /// Lowest frequency while the hand was near, over the learned one; `None` for pushes.
     #[serde(skip_serializing_if = "Option::is_none")]
     slowed_to: Option<f64>,
@@ -72,17 +64,14 @@ fn asks_of_one(index: usize, action: &Value) -> Vec<Figure> {
     let of = |name, key, unit, requirement| figure((&group, name), action, key, unit, requirement);
     let push = kind == "push";
     let moved = of("moved", ("displacement_m", 1e3), ("mm", 1), AtLeast(if push { 20.0 } else { 10.0 }));
-    let number = |key: &str| action.get(key).and_then(Value::as_f64);
-    let kept = number("retained_m").zip(number("displacement_m")).map(|(kept, all)| kept / all * 100.0);
-    let kept = Figure { value: kept, ..of("kept after two cycles", ("", 1.0), ("%", 0), AtLeast(80.0)) };
-    let mut figures = vec![moved, kept];
+    let mut figures = vec![moved, kept(&group, action)];
     figures.push(if push {
         of("off the push's direction", ("direction_error_deg", 1.0), ("°", 1), AtMost(30.0))
     } else {
         of("slowed to", ("slowed_to", 100.0), ("%", 0), AtMost(70.0))
     });
     if kind != "point_one" {
-        figures.push(of("far side moved, RMS", ("far_side_rms_m", 1e3), ("mm", 1), AtMost(5.0)));
+        figures.push(far_side_moved(&group, action));
     }
     figures
 }
@@ -166,10 +155,7 @@ impl JudgedRun<'_> {
             at_s: began as f64 * 1e-9,
             phase,
             direction: direction.map(Into::into),
-            displacement_m: None,
-            direction_error_deg: None,
-            retained_m: None,
-            far_side_rms_m: None,
+            change: PathChange::default(),
             slowed_to: None,
         };
         let Some((before, period_s)) = before else { return Some(figures) };
@@ -180,17 +166,12 @@ impl JudgedRun<'_> {
             return Some(figures);
         };
         let next = self.next_action(ended);
-        if let Some(after) = self.after(ended + ns(RECOVERY_S), next, period_s, &before) {
-            let shift = shift_at(&before, &after, index);
-            figures.displacement_m = Some(shift.dot(&direction));
-            figures.direction_error_deg = angle_deg(&shift, &direction);
-            if kind != ActionKind::Gesture(Gesture::PointOne) {
-                figures.far_side_rms_m = Some(far_side(&before, &after, index));
-            }
+        let after = |from: u64| self.after(from, next, period_s, &before);
+        let (at_once, later) = (after(ended + ns(RECOVERY_S)), after(ended + ns(2.0 * period_s)));
+        figures.change = PathChange::measured(&before, [at_once, later], index, &direction);
+        if kind == ActionKind::Gesture(Gesture::PointOne) {
+            figures.change.far_side_rms_m = None;
         }
-        let later = ended + ns(2.0 * period_s);
-        figures.retained_m =
-            self.after(later, next, period_s, &before).map(|p| shift_at(&before, &p, index).dot(&direction));
         Some(figures)
     }
 
@@ -268,24 +249,4 @@ fn reached(track: &[(u64, f64)], theta: f64) -> Option<f64> {
     let (after, above) = track[at];
     let Some((before, below)) = at.checked_sub(1).map(|i| track[i]) else { return Some(after as f64) };
     Some(before as f64 + (theta - below) / (above - below) * (after - before) as f64)
-}
-
-/// The shift at a phase: the mean over a thirty-second of the period around it.
-pub(super) fn shift_at(before: &Period, after: &Period, index: usize) -> Vector3<f64> {
-    let reach = POINTS / 64;
-    let around = (0..=2 * reach).map(|k| (index + POINTS + k - reach) % POINTS);
-    around.map(|i| after[i] - before[i]).sum::<Vector3<f64>>() / (2 * reach + 1) as f64
-}
-
-/// RMS shift of the phases more than a quarter period away, m.
-pub(super) fn far_side(before: &Period, after: &Period, index: usize) -> f64 {
-    let far = (POINTS / 4 + 1..POINTS - POINTS / 4).map(|k| (index + k) % POINTS);
-    let (sum, count) = far.fold((0.0, 0), |(s, n), i| (s + (after[i] - before[i]).norm_squared(), n + 1));
-    (sum / f64::from(count)).sqrt()
-}
-
-pub(super) fn angle_deg(shift: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
-    let flat = |v: &Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
-    let (a, b) = (flat(shift).try_normalize(1e-6)?, flat(direction).try_normalize(1e-6)?);
-    Some(libm::acos(a.dot(&b).clamp(-1.0, 1.0)).to_degrees())
 }

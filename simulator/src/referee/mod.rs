@@ -17,6 +17,7 @@ mod guiding;
 mod imitation;
 mod learning_together;
 mod log;
+mod path_change;
 mod paths;
 mod people;
 mod probes;

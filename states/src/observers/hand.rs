@@ -1,39 +1,22 @@
-//! The coach's hand: while the channel `hand` has a reader, each camera frame is searched for it; memory and the channel tell
-//! what was observed. While a motion runs, `came_at` is the phase (rad) at which the hand came to rest.
+//! The channel `hand`: the coach's hand. While a motion runs, `came_at` is the phase (rad) at which the hand came to rest.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
-use armarium_memoryx::updater::Updater;
 use armarium_runtime::channels::Channels;
 use armarium_values::{Frame, Observation, Value, Vector};
-use armarium_visionx::{HandObserver, HandStep, ImageError};
+use armarium_visionx::{HandObserver, HandStep};
 use nalgebra::{Isometry3, Vector3};
 
+use super::arrival::Arrival;
+use super::seen;
 use crate::arm::tcp_of;
 use crate::equipment::Equipment;
-use crate::observers::arrival::Arrival;
 
-/// Publishes `hand` for each frame while the channel has a reader.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
-    let mut wanted = channels.wanted("hand");
-    let Ok(updater) = Updater::new(Arc::clone(&equipment.memory), &equipment.agent) else { return };
     let look = || equipment.look(HandStep::new(HandObserver::new(equipment.images.calibration())));
-    let (mut sight, mut arrival) = (None, Arrival::default());
-    loop {
-        while *wanted.borrow_and_update() == 0 {
-            sight = None;
-            if wanted.changed().await.is_err() {
-                return;
-            }
-        }
-        let frame = match sight.get_or_insert_with(look).next().await {
-            Ok(frame) => frame,
-            Err(ImageError::Gone { .. }) => return,
-            Err(_) => continue,
-        };
-        let Some(seen) = frame.of_class("hand").cloned() else { continue };
-        let mut value = describe(&equipment, &channels, &seen);
+    let mut arrival = Arrival::default();
+    seen::publish(&equipment, &channels, "hand", look, |frame, seen| {
+        let mut value = describe(&equipment, &channels, seen);
         let motion = channels.newest("motion");
         let field = |name: &str| motion.as_ref().and_then(|s| s.value.get(name).and_then(Value::as_f64));
         let palm = seen.place.as_ref().map(|place| place.position.vector());
@@ -41,11 +24,9 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         if let (Value::Map(fields), Some(came)) = (&mut value, came) {
             fields.insert("came_at".into(), Value::Float(came));
         }
-        if let Err(error) = updater.update(&[seen]).await {
-            tracing::warn!("the coach's hand was not kept in memory: {error}");
-        }
-        channels.publish("hand", value);
-    }
+        value
+    })
+    .await;
 }
 
 /// The fields of the channel.

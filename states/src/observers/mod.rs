@@ -9,6 +9,7 @@ mod carried;
 mod hand;
 mod memory;
 mod person;
+mod seen;
 mod surroundings;
 mod wrist;
 

@@ -8,7 +8,7 @@ use super::own_body::{own_pixels, without};
 use super::{BodyJoint, BodyObservation, SeenJoint};
 use crate::camera::StereoCalibration;
 use crate::frame::{RgbImage, StereoFrame};
-use crate::touch::OwnPart;
+use crate::own_part::OwnPart;
 use crate::tracking::{BodyLandmarks, LearnedBodyDetector};
 
 /// A shoulder that is less probably visible than this shows no person: networks take a single arm for one.

@@ -6,7 +6,7 @@ use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, RgbImage};
 use crate::mask::{Mask, Region};
 use crate::outline::box_outline;
-use crate::touch::OwnPart;
+use crate::own_part::OwnPart;
 
 /// Own parts may be beside where they are known to be by this, px, and before or behind it, m.
 const MARGIN_PX: f64 = 4.0;

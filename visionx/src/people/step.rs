@@ -7,8 +7,8 @@ use armarium_values::{Frame, Observation, ObservedPlace, Value, Vector};
 use super::{BodyJoint, BodyObservation, BodyObserver, SeenJoint};
 use crate::annotate;
 use crate::frame::{RgbImage, StereoFrame};
+use crate::own_part::OwnPart;
 use crate::steps::StereoStep;
-use crate::touch::OwnPart;
 
 /// The core segment of people's bodies, and what they are.
 const PEOPLE: &str = "HumanPoses";

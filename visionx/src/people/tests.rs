@@ -6,8 +6,8 @@ use super::follower::BodyFollower;
 use super::own_body::{own_pixels, without};
 use super::{BodyJoint, SeenJoint};
 use crate::frame::{DepthImage, RgbImage};
+use crate::own_part::OwnPart;
 use crate::scenes::CALIBRATION;
-use crate::touch::OwnPart;
 
 /// A person's joints, the arms stretched by `reach` m.
 fn joints(reach: f64) -> [Option<SeenJoint>; 7] {

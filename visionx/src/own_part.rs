@@ -1,0 +1,24 @@
+//! The parts of the robot's own body, of which pictures say nothing: boxes in the root frame.
+
+use armarium_values::distance_from_box;
+use nalgebra::{Isometry3, Point3, Vector3};
+
+/// A box that a part of the own body fills.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OwnPart {
+    /// Pose of its middle in the root frame.
+    pub root_from_box: Isometry3<f64>,
+    /// Its edges, m.
+    pub size: Vector3<f64>,
+}
+
+impl OwnPart {
+    pub(crate) fn middle(&self) -> Point3<f64> {
+        self.root_from_box.translation.vector.into()
+    }
+
+    /// The distance of a point (root frame) from it, m; 0 inside.
+    pub(crate) fn distance(&self, point: &Point3<f64>) -> f64 {
+        distance_from_box(point, &self.root_from_box, &self.size)
+    }
+}
