@@ -104,49 +104,49 @@ fn gesture(sign: f64, hand: Vector3<f64>) -> CoachInput {
 
 #[test]
 fn pushes_move_the_path_where_and_whither_they_push() {
+    // How far around its middle a push is felt, in turn.
+    let mut half_arcs = [0.15, 0.2].into_iter().cycle();
     for kind in ["ellipse", "eight", "line"] {
         for size in [[0.10, 0.06], [0.16, 0.12]] {
             for phase in [0.25, 0.5, 0.9] {
                 for turn in [0.0, 1.0, 2.5, 4.0] {
-                    for half_arc in [0.15, 0.2] {
-                        let mut moved = Vec::new();
-                        for hz in [0.3, 0.5, 0.8] {
-                            let direction = Vector3::new(libm::cos(turn), libm::sin(turn), 0.0);
-                            let push = |force: f64, cycles: f64| {
-                                let mut dmp = wiping(kind, size);
-                                let (before, after, later) =
-                                    coached(&mut dmp, hz, cycles / hz, 0.3, |passed, _| {
-                                        let away = (passed / TAU - phase + 0.5).rem_euclid(1.0) - 0.5;
-                                        // Rises and falls like a hand's push; forces below the threshold are not
-                                        // passed on.
-                                        let felt = force
-                                            * libm::cos(TAU / 4.0 * (away.abs() / half_arc).min(1.0)).powi(2);
-                                        if felt > 4.0 {
-                                            CoachInput::Push { force: felt * direction }
-                                        } else {
-                                            CoachInput::None
-                                        }
-                                    });
-                                assert_eq!(after, later);
-                                change(&before, &after, phase * TAU)
-                            };
-                            let c = push(12.0, 6.0);
-                            let along = c.at_phase.dot(&direction);
-                            assert!(along > 0.02 && along < 0.06, "{kind} {phase} {turn} {hz}: {along}");
-                            assert!(c.at_phase.angle(&direction) < 0.2);
-                            assert!(c.far_rms < 0.005, "far {}", c.far_rms);
-                            let (stronger, longer, weaker) =
-                                (push(20.0, 6.0), push(12.0, 10.0), push(6.0, 6.0));
-                            assert!(stronger.at_phase.dot(&direction) > along + 0.002);
-                            assert!(longer.at_phase.dot(&direction) > along + 0.002);
-                            assert!(weaker.at_phase.dot(&direction) < along - 0.002);
-                            let most = push(40.0, 20.0);
-                            let far = most.at_phase.dot(&direction);
-                            assert!(far < 0.065 && most.far_rms < 0.008, "{far} {}", most.far_rms);
-                            moved.push(along);
-                        }
-                        assert!(moved[2] / moved[0] < 1.1 && moved[0] / moved[2] < 1.1, "{moved:?}");
+                    let half_arc = half_arcs.next().expect("it has no end");
+                    let mut moved = Vec::new();
+                    for hz in [0.3, 0.5, 0.8] {
+                        let direction = Vector3::new(libm::cos(turn), libm::sin(turn), 0.0);
+                        let push = |force: f64, cycles: f64| {
+                            let mut dmp = wiping(kind, size);
+                            let (before, after, later) =
+                                coached(&mut dmp, hz, cycles / hz, 0.3, |passed, _| {
+                                    let away = (passed / TAU - phase + 0.5).rem_euclid(1.0) - 0.5;
+                                    // Rises and falls like a hand's push; forces below the threshold are not
+                                    // passed on.
+                                    let felt = force
+                                        * libm::cos(TAU / 4.0 * (away.abs() / half_arc).min(1.0)).powi(2);
+                                    if felt > 4.0 {
+                                        CoachInput::Push { force: felt * direction }
+                                    } else {
+                                        CoachInput::None
+                                    }
+                                });
+                            assert_eq!(after, later);
+                            change(&before, &after, phase * TAU)
+                        };
+                        let c = push(12.0, 6.0);
+                        let along = c.at_phase.dot(&direction);
+                        assert!(along > 0.02 && along < 0.06, "{kind} {phase} {turn} {hz}: {along}");
+                        assert!(c.at_phase.angle(&direction) < 0.2);
+                        assert!(c.far_rms < 0.005, "far {}", c.far_rms);
+                        let (stronger, longer, weaker) = (push(20.0, 6.0), push(12.0, 10.0), push(6.0, 6.0));
+                        assert!(stronger.at_phase.dot(&direction) > along + 0.002);
+                        assert!(longer.at_phase.dot(&direction) > along + 0.002);
+                        assert!(weaker.at_phase.dot(&direction) < along - 0.002);
+                        let most = push(40.0, 20.0);
+                        let far = most.at_phase.dot(&direction);
+                        assert!(far < 0.065 && most.far_rms < 0.008, "{far} {}", most.far_rms);
+                        moved.push(along);
                     }
+                    assert!(moved[2] / moved[0] < 1.1 && moved[0] / moved[2] < 1.1, "{moved:?}");
                 }
             }
         }
