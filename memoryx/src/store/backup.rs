@@ -3,9 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use redb::{
-    Builder, Database, Key, ReadTransaction, ReadableDatabase, ReadableTable, TableDefinition, Value,
-};
+use redb::{Builder, Database, Key, ReadTransaction, ReadableTable, TableDefinition, Value};
 
 use super::checked;
 use super::error::Fault;
@@ -36,17 +34,16 @@ impl LongTermMemory {
         }
         // It has its name when it is whole.
         let unfinished = own.with_file_name(format!("{name}.unfinished"));
-        let copied = self.with(|database| {
+        let copied = self.read_tables(|from| {
             // What is left of an earlier try.
             let _ = std::fs::remove_file(&unfinished).is_ok();
-            let to =
+            let (to, _) =
                 checked::open(&unfinished, &Builder::new(), &Arc::default()).map_err(redb::Error::from)?;
-            let from = database.begin_read()?;
-            copy(&from, &to, INDEX)?;
-            copy(&from, &to, CHUNKS)?;
-            copy(&from, &to, AGES)?;
-            copy(&from, &to, KEPT)?;
-            copy_all_but_records(&from, &to)
+            copy(from, &to, INDEX)?;
+            copy(from, &to, CHUNKS)?;
+            copy(from, &to, AGES)?;
+            copy(from, &to, KEPT)?;
+            copy_all_but_records(from, &to)
         });
         let copied = copied.and_then(|()| {
             std::fs::rename(&unfinished, &whole).map_err(|error| self.failed(&format!("the copy: {error}")))

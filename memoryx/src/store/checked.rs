@@ -4,8 +4,11 @@
 //! | block of 4096 bytes | content |
 //! |---|---|
 //! | 0 | [`MAGIC`]; the boot of the machine in which it was written (16 bytes); CRC-32 of the rest of its first 512 bytes; from byte 64 the database's own first block |
-//! | 1, 1026, 2051 ... | checksums of the next 1024 blocks: CRC-32 each, combined by xor with that of a block of zeros |
+//! | 1 to 64 | the log of small commits (`log.rs`), which has checksums of its own |
+//! | 65, 1090, 2115 ... | checksums of the next 1024 blocks: CRC-32 each, combined by xor with that of a block of zeros |
 //! | all others | the blocks of the database, in order |
+//!
+//! A file of an earlier program begins with [`WITHOUT_LOG`] and has no blocks for a log.
 //!
 //! The database commits in two phases: it writes the pages, then the header that names them, each with a sync. As long as the
 //! machine is not started anew, whatever a process has written is there, in order, however the process ends. So the first sync is
@@ -26,9 +29,12 @@ use parking_lot::Mutex;
 use redb::backends::FileBackend;
 use redb::{BackendError, Builder, Database, DatabaseError, StorageBackend};
 
+use super::log::{LOG_BYTES, LogFile};
+
 /// How the file begins.
-const MAGIC: &[u8; 16] = b"armarium memory\n";
-/// How a file of an earlier program begins, whose blocks have no checksums.
+const MAGIC: &[u8; 16] = b"armarium memory2";
+/// How files of earlier programs begin: one without a log, and one whose blocks have no checksums either.
+const WITHOUT_LOG: &[u8; 16] = b"armarium memory\n";
 const PLAIN: &[u8; 4] = b"redb";
 
 const BLOCK: usize = 4096;
@@ -64,19 +70,35 @@ impl From<Spoiled> for io::Error {
     }
 }
 
-/// Opens the database in a file, or creates it. While `salvages` is set, blocks that are damaged are read nevertheless.
+/// Opens the database in a file, or creates it, and the file of its log, where it has one. While `salvages` is set, blocks that
+/// are damaged are read nevertheless.
 pub(super) fn open(
     path: &Path,
     builder: &Builder,
     salvages: &Arc<AtomicBool>,
-) -> Result<Database, DatabaseError> {
+) -> Result<(Database, Option<LogFile>), DatabaseError> {
     let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
     let is_plain = begins_with(&file, PLAIN);
     let backend = FileBackend::new(file)?;
     if is_plain {
-        return builder.create_with_backend(backend);
+        return Ok((builder.create_with_backend(backend)?, None));
     }
-    builder.create_with_backend(CheckedFile::new(backend, this_boot(), Arc::clone(salvages)))
+    open_checked(backend, builder, this_boot(), salvages)
+}
+
+/// As [`open`], on any medium.
+pub(super) fn open_checked(
+    medium: impl StorageBackend,
+    builder: &Builder,
+    boot: Option<Boot>,
+    salvages: &Arc<AtomicBool>,
+) -> Result<(Database, Option<LogFile>), DatabaseError> {
+    let medium = Arc::new(medium);
+    let file = CheckedFile::new(Arc::clone(&medium), boot, Arc::clone(salvages));
+    let database = builder.create_with_backend(file)?;
+    let mut start = [0; MAGIC.len()];
+    medium.read(0, &mut start)?;
+    Ok((database, (start == *MAGIC).then(|| LogFile::new(medium, BLOCK as u64))))
 }
 
 fn begins_with(mut file: &File, words: &[u8]) -> bool {
@@ -93,8 +115,8 @@ fn this_boot() -> Option<Boot> {
 
 /// A file with a checksum for each block.
 #[derive(Debug)]
-pub(super) struct CheckedFile<F> {
-    file: F,
+struct CheckedFile<F> {
+    file: Arc<F>,
     boot: Option<Boot>,
     salvages: Arc<AtomicBool>,
     /// Read at the first use: then the database has locked the file.
@@ -106,6 +128,7 @@ pub(super) struct CheckedFile<F> {
 #[derive(Debug)]
 struct FileState {
     head: Box<[u8; HEAD]>,
+    layout: Layout,
     /// The flags at the last sync, and whether the header was written since.
     synced_flags: u8,
     is_head_written: bool,
@@ -130,21 +153,55 @@ impl Sums {
     }
 }
 
-/// How long the file is for so many bytes of the database, and the reverse.
-fn outer_len(inner: u64) -> u64 {
-    let blocks = (inner / BLOCK as u64).saturating_sub(1);
-    if inner == 0 { 0 } else { (1 + blocks + blocks.div_ceil(GROUP)) * BLOCK as u64 }
+/// Where things are in a file.
+#[derive(Clone, Copy, Debug)]
+struct Layout {
+    /// Blocks before the first group: the head, and those of the log.
+    before: u64,
 }
 
-fn inner_len(outer: u64) -> u64 {
-    let blocks = (outer / BLOCK as u64).saturating_sub(1);
-    let (full, rest) = (blocks / (GROUP + 1), blocks % (GROUP + 1));
-    if outer == 0 { 0 } else { (1 + full * GROUP + rest.saturating_sub(1)) * BLOCK as u64 }
-}
+impl Layout {
+    fn of(head: &[u8; HEAD]) -> Self {
+        let log = if head.starts_with(MAGIC) { LOG_BYTES / BLOCK as u64 } else { 0 };
+        Self { before: 1 + log }
+    }
 
-/// Where the checksums of a group are.
-fn sums_at(group: u64) -> u64 {
-    (1 + group * (GROUP + 1)) * BLOCK as u64
+    /// How long the file is for so many bytes of the database, and the reverse.
+    fn outer_len(self, inner: u64) -> u64 {
+        let blocks = (inner / BLOCK as u64).saturating_sub(1);
+        if inner == 0 { 0 } else { (self.before + blocks + blocks.div_ceil(GROUP)) * BLOCK as u64 }
+    }
+
+    fn inner_len(self, outer: u64) -> u64 {
+        let blocks = (outer / BLOCK as u64).saturating_sub(self.before);
+        let (full, rest) = (blocks / (GROUP + 1), blocks % (GROUP + 1));
+        if outer == 0 { 0 } else { (1 + full * GROUP + rest.saturating_sub(1)) * BLOCK as u64 }
+    }
+
+    /// Where the checksums of a group are.
+    fn sums_at(self, group: u64) -> u64 {
+        (self.before + group * (GROUP + 1)) * BLOCK as u64
+    }
+
+    /// The runs of whole blocks from `offset`, which is behind block 0.
+    fn runs(self, offset: u64, len: usize) -> io::Result<Vec<BlockRun>> {
+        let block = BLOCK as u64;
+        if offset < block || !offset.is_multiple_of(block) || !len.is_multiple_of(BLOCK) {
+            let what = "the database does not use whole blocks";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+        }
+        let (mut next, mut done, mut runs) = (offset / block - 1, 0, Vec::new());
+        while done < len {
+            let (group, first) = (next / GROUP, next % GROUP);
+            let count = (GROUP - first).min((len - done) as u64 / block);
+            let bytes = done..done + count as usize * BLOCK;
+            let at = self.sums_at(group) + (1 + first) * block;
+            done = bytes.end;
+            runs.push(BlockRun { group, first: first as usize, at, bytes });
+            next += count;
+        }
+        Ok(runs)
+    }
 }
 
 /// A part of the database's blocks that lies in one group.
@@ -158,27 +215,8 @@ struct BlockRun {
     bytes: std::ops::Range<usize>,
 }
 
-/// The runs of whole blocks from `offset`, which is behind block 0.
-fn runs(offset: u64, len: usize) -> io::Result<Vec<BlockRun>> {
-    let block = BLOCK as u64;
-    if offset < block || !offset.is_multiple_of(block) || !len.is_multiple_of(BLOCK) {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "the database does not use whole blocks"));
-    }
-    let (mut next, mut done, mut runs) = (offset / block - 1, 0, Vec::new());
-    while done < len {
-        let (group, first) = (next / GROUP, next % GROUP);
-        let count = (GROUP - first).min((len - done) as u64 / block);
-        let bytes = done..done + count as usize * BLOCK;
-        let at = sums_at(group) + (1 + first) * block;
-        done = bytes.end;
-        runs.push(BlockRun { group, first: first as usize, at, bytes });
-        next += count;
-    }
-    Ok(runs)
-}
-
 impl<F: StorageBackend> CheckedFile<F> {
-    pub(super) fn new(file: F, boot: Option<Boot>, salvages: Arc<AtomicBool>) -> Self {
+    fn new(file: Arc<F>, boot: Option<Boot>, salvages: Arc<AtomicBool>) -> Self {
         Self { file, boot, salvages, state: Mutex::new(None), zero: crc32fast::hash(&[0; BLOCK]) }
     }
 
@@ -205,7 +243,7 @@ impl<F: StorageBackend> CheckedFile<F> {
         } else {
             let used = head.len().min(usize::try_from(len).unwrap_or(HEAD));
             self.file.read(0, &mut head[..used])?;
-            if !head.starts_with(MAGIC) {
+            if !head.starts_with(MAGIC) && !head.starts_with(WITHOUT_LOG) {
                 return Err(io::Error::new(io::ErrorKind::InvalidData, "it does not begin like one"));
             }
             if !len.is_multiple_of(BLOCK as u64) {
@@ -219,8 +257,9 @@ impl<F: StorageBackend> CheckedFile<F> {
         if is_doubtful {
             head[FLAGS_AT] = head[FLAGS_AT] & !TWO_PHASES | IN_USE;
         }
-        let synced_flags = head[FLAGS_AT];
-        let mut state = FileState { head, synced_flags, is_head_written: false, groups: BTreeMap::new() };
+        let (layout, synced_flags) = (Layout::of(&head), head[FLAGS_AT]);
+        let mut state =
+            FileState { head, layout, synced_flags, is_head_written: false, groups: BTreeMap::new() };
         if is_doubtful {
             self.sum_all(&mut state)?;
         }
@@ -229,11 +268,11 @@ impl<F: StorageBackend> CheckedFile<F> {
 
     /// Takes the checksums of what is there, which the database compares with its own.
     fn sum_all(&self, state: &mut FileState) -> io::Result<()> {
-        let blocks = inner_len(self.file.len()?) / BLOCK as u64 - 1;
+        let blocks = state.layout.inner_len(self.file.len()?) / BLOCK as u64 - 1;
         for group in 0..blocks.div_ceil(GROUP) {
             let count = (blocks - group * GROUP).min(GROUP) as usize;
             let mut bytes = vec![0; count * BLOCK];
-            self.file.read(sums_at(group) + BLOCK as u64, &mut bytes)?;
+            self.file.read(state.layout.sums_at(group) + BLOCK as u64, &mut bytes)?;
             let mut sums = vec![0; GROUP as usize];
             sums.iter_mut().zip(bytes.chunks(BLOCK)).for_each(|(sum, block)| *sum = self.sum(block));
             state.groups.insert(group, Sums { sums, changed: Some((0, GROUP as usize - 1)) });
@@ -241,12 +280,16 @@ impl<F: StorageBackend> CheckedFile<F> {
         Ok(())
     }
 
+    fn runs(&self, offset: u64, len: usize) -> io::Result<Vec<BlockRun>> {
+        self.with(|state| state.layout.runs(offset, len))
+    }
+
     fn sums<'s>(&self, state: &'s mut FileState, group: u64) -> io::Result<&'s mut Sums> {
         Ok(match state.groups.entry(group) {
             std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
             std::collections::btree_map::Entry::Vacant(unknown) => {
                 let mut bytes = [0; BLOCK];
-                self.file.read(sums_at(group), &mut bytes)?;
+                self.file.read(state.layout.sums_at(group), &mut bytes)?;
                 let number = |bytes: &[u8]| bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
                 unknown.insert(Sums { sums: bytes.chunks(4).map(number).collect(), changed: None })
             }
@@ -259,7 +302,7 @@ impl<F: StorageBackend> CheckedFile<F> {
             let Some((from, to)) = sums.changed else { continue };
             let changed = sums.sums.get(from..=to).unwrap_or_default();
             let bytes: Vec<u8> = changed.iter().flat_map(|sum| sum.to_le_bytes()).collect();
-            self.file.write(sums_at(*group) + 4 * from as u64, &bytes)?;
+            self.file.write(state.layout.sums_at(*group) + 4 * from as u64, &bytes)?;
             sums.changed = None;
         }
         Ok(())
@@ -285,7 +328,8 @@ fn in_head(offset: u64, len: usize) -> io::Result<std::ops::Range<usize>> {
 
 impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
     fn len(&self) -> io::Result<u64> {
-        self.file.len().map(inner_len)
+        let len = self.file.len()?;
+        self.with(|state| Ok(state.layout.inner_len(len)))
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
@@ -296,7 +340,7 @@ impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
                 Ok(())
             });
         }
-        for run in runs(offset, out.len())? {
+        for run in self.runs(offset, out.len())? {
             let bytes = &mut out[run.bytes];
             self.file.read(run.at, bytes)?;
             if self.salvages.load(Ordering::Acquire) {
@@ -316,7 +360,7 @@ impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
 
     fn set_len(&self, len: u64) -> io::Result<()> {
         self.with(|state| {
-            let before = inner_len(self.file.len()?);
+            let before = state.layout.inner_len(self.file.len()?);
             // What is cut off is zero when it comes back.
             for block in len / BLOCK as u64..before / BLOCK as u64 {
                 let Some(block) = block.checked_sub(1) else { continue };
@@ -324,7 +368,12 @@ impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
             }
             let groups = (len / BLOCK as u64).saturating_sub(1).div_ceil(GROUP);
             state.groups.retain(|group, _| *group < groups);
-            self.file.set_len(outer_len(len))
+            self.file.set_len(state.layout.outer_len(len))?;
+            if before == 0 && len > 0 {
+                // Blocks that have been written once are synced without a change of the file's map.
+                self.file.write(BLOCK as u64, &vec![0; LOG_BYTES as usize])?;
+            }
+            Ok(())
         })
     }
 
@@ -358,7 +407,7 @@ impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
                 self.file.write(0, &state.head[..])
             });
         }
-        for run in runs(offset, data.len())? {
+        for run in self.runs(offset, data.len())? {
             let bytes = &data[run.bytes];
             self.file.write(run.at, bytes)?;
             let found: Vec<u32> = bytes.chunks(BLOCK).map(|block| self.sum(block)).collect();

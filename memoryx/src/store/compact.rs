@@ -11,19 +11,12 @@ use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
 use super::backup::{COPIED_BYTES, copy_all_but_records};
 use super::error::Fault;
 use super::retain::each_record;
-use super::write::EntityCache;
-use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, StoreError, beside};
+use super::write::{EntityCache, Totals};
+use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, META, StoreError, Stored, beside};
 use crate::entity::{EntityId, Snapshot};
 
 /// When so few snapshots were stored during the last round, the rest is copied while commits wait.
 const FEW: usize = 64;
-
-/// Snapshots that were stored while the file was copied, and the versions that were noted as given.
-#[derive(Default)]
-pub(super) struct Journal {
-    snapshots: Vec<Arc<Snapshot>>,
-    given: Vec<(Option<EntityId>, u64)>,
-}
 
 impl LongTermMemory {
     /// Writes everything into a new file, in full chunks, and puts that in the place of the old one. Commits go on meanwhile,
@@ -48,15 +41,15 @@ impl LongTermMemory {
     /// Notes what is stored, if the file is being copied. Called by the writer.
     pub(super) fn journal(&self, snapshots: &[Arc<Snapshot>], given: &[(Option<&EntityId>, u64)]) {
         if let Some(journal) = &mut *self.journal.lock() {
-            journal.snapshots.extend_from_slice(snapshots);
-            journal.given.extend(given.iter().map(|(id, version)| (id.cloned(), *version)));
+            journal.extend(snapshots, given);
         }
     }
 
     fn replace(&self, path: &Path, fresh: &Path) -> Result<(), StoreError> {
         let to = Self::open_file(fresh.display().to_string(), fresh.into(), false)?;
-        let memo = self.memo.lock();
-        *self.journal.lock() = Some(Journal::default());
+        let mut memo = self.memo.lock();
+        self.take_log(&mut memo)?;
+        *self.journal.lock() = Some(Stored::default());
         let memo = self.with(|database| {
             // As long as this is open, no commit has the work of freeing pages: they go with the file.
             let from = database.begin_read()?;
@@ -85,10 +78,12 @@ impl LongTermMemory {
     /// Returns free space between pages, in a file that nobody else uses.
     fn compact_alone(&self) -> Result<(), StoreError> {
         let mut open = self.database.write();
-        let mut database =
-            open.take().and_then(Arc::into_inner).ok_or_else(|| self.failed("it is in use"))?;
-        self.contained(|| Ok(database.compact()?))?;
-        *open = Some(Arc::new(database));
+        let mut file = open.take().and_then(Arc::into_inner).ok_or_else(|| self.failed("it is in use"))?;
+        self.contained(|| Ok(file.database.compact()?))?;
+        // The copy goes on with the round of its original.
+        let round = self.contained(|| Ok(Totals::read(&file.begin_read()?.open_table(META)?)?.round))?;
+        file.log.get_mut().iter_mut().for_each(|log| log.begin(round));
+        *open = Some(Arc::new(file));
         Ok(())
     }
 
@@ -96,8 +91,7 @@ impl LongTermMemory {
     fn catch_up(&self, to: &Self) -> Result<usize, StoreError> {
         let journal = self.journal.lock().as_mut().map(take);
         let journal = journal.ok_or_else(|| self.failed("a commit has failed while it was copied"))?;
-        let given: Vec<_> = journal.given.iter().map(|(id, version)| (id.as_ref(), *version)).collect();
-        to.persist_with(&journal.snapshots, &given)?;
+        to.persist_with(&journal.snapshots, &journal.given().collect::<Vec<_>>())?;
         Ok(journal.snapshots.len())
     }
 }

@@ -154,7 +154,7 @@ fn other_files_are_refused_and_left_alone() {
     for other_format in [1, 4] {
         let path = folder.path().join(format!("format{other_format}.redb"));
         drop(LongTermMemory::open(&path).unwrap());
-        let newer = checked::open(&path, &redb::Builder::new(), &Arc::default()).unwrap();
+        let (newer, _) = checked::open(&path, &redb::Builder::new(), &Arc::default()).unwrap();
         let write = newer.begin_write().unwrap();
         write.open_table(META).unwrap().insert("format", other_format).unwrap();
         write.commit().unwrap();

@@ -12,7 +12,7 @@
 //!
 //! | table | key | value |
 //! |---|---|---|
-//! | `meta` | name (text) | `u64`: `format` (3), `next_entity`, `next_chunk`, `snapshots`, `bytes` (of chunks and blobs) |
+//! | `meta` | name (text) | `u64`: `format` (3), `log` (the round of the log), `next_entity`, `next_chunk`, `snapshots`, `bytes` (of chunks and blobs) |
 //! | `entities` | segment `00` provider `00` entity `00` | its number (`u64`), and whether later versions never speak of earlier times |
 //! | `index` | entity's number, version | chunk (`u64`), offset and length in it (`u32` each), referenced_ns (`u64`) |
 //! | `chunks` | number, counted up | records, one after the other, up to 64 kB; a longer record has a chunk of its own |
@@ -29,7 +29,7 @@
 //! the covariances. All numbers are little-endian, counts and lengths LEB128; a value is a byte for its kind, then
 //! its content (`record.rs` has the list). Names hold no control characters, so a zero byte ends them unambiguously.
 //! One transaction changes all tables, so they are always consistent. A file of format 2, which lacks these four tables, gets
-//! them when it is opened.
+//! them when it is opened. Commits of a few snapshots go into a log first, from which the tables take many together (`log.rs`).
 //!
 //! # Assumptions about the medium
 //! A sync that has returned has written its data. A write that was not synced may be there, missing, or there in
@@ -48,7 +48,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
-use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
+use redb::{Database, ReadableTableMetadata, TableDefinition};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -62,6 +62,7 @@ mod compact;
 mod consolidate;
 mod error;
 mod exchange;
+mod log;
 mod named;
 mod opening;
 mod read;
@@ -88,6 +89,7 @@ pub use named::{EntityChange, NamedSnapshot};
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
+use log::{Log, LogFile, Stored};
 use parking_lot::{Mutex, RwLock};
 use write::{EntityCache, Totals};
 
@@ -132,8 +134,33 @@ pub struct StoreStats {
     pub file_bytes: u64,
 }
 
-/// Opens the database; while the flag is set, damaged blocks are read nevertheless.
-type Opener = Box<dyn Fn(&Arc<AtomicBool>) -> Result<Database, redb::DatabaseError> + Send + Sync>;
+/// Opens the database, and its log where it has one; while the flag is set, damaged blocks are read nevertheless.
+type Opener =
+    Box<dyn Fn(&Arc<AtomicBool>) -> Result<(Database, Option<LogFile>), redb::DatabaseError> + Send + Sync>;
+
+/// The file while it is open.
+struct OpenFile {
+    database: Database,
+    /// Locked by the writer. `None` where an earlier program has made the file.
+    log: Mutex<Option<Log>>,
+    /// Whether something is in the log.
+    is_logged: AtomicBool,
+}
+
+impl OpenFile {
+    fn new(database: Database, log: Option<Log>) -> Self {
+        let is_logged = log.as_ref().is_some_and(|log| !log.stored.is_empty());
+        Self { database, log: Mutex::new(log), is_logged: AtomicBool::new(is_logged) }
+    }
+}
+
+impl std::ops::Deref for OpenFile {
+    type Target = Database;
+
+    fn deref(&self) -> &Database {
+        &self.database
+    }
+}
 
 /// The long-term memory of an agent.
 pub struct LongTermMemory {
@@ -141,7 +168,7 @@ pub struct LongTermMemory {
     name: String,
     opener: Opener,
     /// `None` after a failure: the next use opens the file again, which restores the last commit.
-    database: RwLock<Option<Arc<Database>>>,
+    database: RwLock<Option<Arc<OpenFile>>>,
     /// Cached facts about entities; locked by the writer.
     memo: Mutex<EntityCache>,
     /// Whether the file is open only while it is used.
@@ -149,7 +176,7 @@ pub struct LongTermMemory {
     /// Held by what changes more than a commit: retention, compaction, named snapshots.
     upkeep: Mutex<()>,
     /// What is stored while the file is copied; locked by the writer.
-    journal: Mutex<Option<compact::Journal>>,
+    journal: Mutex<Option<Stored>>,
     /// Whether damaged blocks are read nevertheless.
     salvages: Arc<AtomicBool>,
 }
@@ -231,7 +258,7 @@ impl LongTermMemory {
         };
         match store.reopen() {
             // Whoever reads what is damaged learns that; the rest can be exported.
-            Err(StoreError::Damaged { .. }) if store.salvage(|| store.reopen()).is_ok() => {}
+            Err(StoreError::Damaged { .. }) if store.salvage(|| store.reopen().map(drop)).is_ok() => {}
             opened => drop(opened?),
         }
         store.release();
@@ -292,8 +319,7 @@ impl LongTermMemory {
     /// When it cannot be read.
     pub fn stats(&self) -> Result<StoreStats, StoreError> {
         let file_bytes = self.path.as_ref().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len());
-        self.with(|database| {
-            let transaction = database.begin_read()?;
+        self.read_tables(|transaction| {
             let Totals { snapshots, bytes, .. } = Totals::read(&transaction.open_table(META)?)?;
             let entities = transaction.open_table(ENTITIES)?.len()?;
             Ok(StoreStats { entities, snapshots, bytes, file_bytes })
@@ -345,6 +371,11 @@ impl Archive for LongTermMemory {
 
 impl Drop for LongTermMemory {
     fn drop(&mut self) {
+        // After an end in good order, the log is empty. After any other one, the next opening reads it.
+        let is_open = self.database.read().is_some();
+        if is_open && let Err(error) = self.read_tables(|_| Ok(())) {
+            tracing::warn!(%error, "what is in its log stays there");
+        }
         self.close();
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 
-use redb::{ReadableDatabase, ReadableTable};
+use redb::ReadableTable;
 
 use super::error::Fault;
 use super::{LongTermMemory, NAMED, StoreError};
@@ -110,8 +110,7 @@ impl LongTermMemory {
     }
 
     fn list(&self, name: &str) -> Result<Option<Vec<u8>>, StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read()?;
+        self.read_tables(|transaction| {
             let table = transaction.open_table(NAMED)?;
             Ok(table.get(name)?.map(|v| v.value().to_vec()))
         })
@@ -224,8 +223,7 @@ impl LongTermMemory {
     }
 
     fn lists<T>(&self, read: impl Fn(&str, &[u8]) -> T) -> Result<Vec<T>, StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read()?;
+        self.read_tables(|transaction| {
             let table = transaction.open_table(NAMED)?;
             let rows = table.iter()?;
             let lists = rows.map(|row| row.map(|(name, list)| read(name.value(), list.value())));

@@ -10,9 +10,11 @@ use redb::{Database, ReadableDatabase, ReadableTable};
 
 use super::checked::Spoiled;
 use super::error::Fault;
+use super::log::{Log, LogFile};
+use super::write::Totals;
 use super::{
     AGES, BLOB_USES, BLOBS, CHUNKS, EARLIER_FORMAT, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory,
-    META, NAMED, REMOVED, SHARED_WAIT, StoreError, WAIT,
+    META, NAMED, OpenFile, REMOVED, SHARED_WAIT, StoreError, WAIT,
 };
 
 /// Between two tries to open a file that another process has open.
@@ -20,7 +22,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 
 impl LongTermMemory {
     /// Uses the database; opens it again first if it has failed.
-    pub(super) fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, Fault>) -> Result<T, StoreError> {
+    pub(super) fn with<T>(&self, act: impl FnOnce(&OpenFile) -> Result<T, Fault>) -> Result<T, StoreError> {
         let open = self.database.read().clone();
         let open = open.map_or_else(|| self.reopen(), Ok)?;
         let result = self.contained(|| act(&open));
@@ -64,7 +66,7 @@ impl LongTermMemory {
         self.closed(open.take());
     }
 
-    pub(super) fn closed(&self, closing: Option<Arc<Database>>) {
+    pub(super) fn closed(&self, closing: Option<Arc<OpenFile>>) {
         let closed = self.contained(|| {
             drop(closing);
             Ok(())
@@ -74,15 +76,17 @@ impl LongTermMemory {
         }
     }
 
-    pub(super) fn reopen(&self) -> Result<Arc<Database>, StoreError> {
+    pub(super) fn reopen(&self) -> Result<Arc<OpenFile>, StoreError> {
         let mut open = self.database.write();
         if let Some(open) = &*open {
             return Ok(Arc::clone(open));
         }
         let database = self.contained(|| {
-            let database = self.opened().map_err(|e| self.opening(e))?;
+            let (database, log) = self.opened().map_err(|e| self.opening(e))?;
             self.check_format(&database)?;
-            Ok(Arc::new(database))
+            let round = Totals::read(&database.begin_read()?.open_table(META)?)?.round;
+            let log = log.map(|log| Log::read(log, round, self.salvages.load(Ordering::Acquire)));
+            Ok(Arc::new(OpenFile::new(database, log.transpose()?)))
         })?;
         *open = Some(Arc::clone(&database));
         Ok(database)
@@ -93,7 +97,7 @@ impl LongTermMemory {
         clippy::disallowed_methods,
         reason = "another process holds the file: virtual time does not pass for it"
     )]
-    fn opened(&self) -> Result<Database, redb::DatabaseError> {
+    fn opened(&self) -> Result<(Database, Option<LogFile>), redb::DatabaseError> {
         let mut left = if self.shared { SHARED_WAIT } else { WAIT };
         loop {
             match (self.opener)(&self.salvages) {

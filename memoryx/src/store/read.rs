@@ -4,13 +4,16 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::ops::Bound;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::error::Fault;
 use super::record::{self, Hash, RecordError};
 use super::write::OF_OTHERS;
-use super::{AGES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, RecordPlace, StoreError};
+use super::{
+    AGES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, OpenFile, RecordPlace, StoreError,
+};
 use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -398,9 +401,18 @@ impl LongTermMemory {
     ) -> Result<(), StoreError> {
         let mut from = (0, 0);
         match self.read(|reader| reader.scan(&mut from, &mut act)) {
-            Err(StoreError::Damaged { .. }) => {
-                self.salvage(|| self.read(|reader| reader.scan(&mut from, &mut act)))
-            }
+            Err(StoreError::Damaged { .. }) => self.salvage(|| {
+                self.read(|reader| reader.scan(&mut from, &mut act))?;
+                self.with(|file| {
+                    let log = file.log.lock();
+                    let Some(log) = &*log else { return Ok(()) };
+                    let damage = log.is_damaged.then_some(Err(RecordError::Log { at: log.end }));
+                    let logged = log.stored.snapshots.iter().map(|logged| Ok(Snapshot::clone(logged)));
+                    // Whoever has enough is asked no more.
+                    let _ = logged.chain(damage).all(act);
+                    Ok(())
+                })
+            }),
             scanned => scanned,
         }
     }
@@ -451,7 +463,19 @@ impl LongTermMemory {
     }
 
     pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
-        self.with(|database| act(&Reader::new(&database.begin_read()?)?))
+        self.read_tables(|transaction| act(&Reader::new(transaction)?))
+    }
+
+    /// Reads the tables, which have everything that is stored.
+    pub(super) fn read_tables<T>(
+        &self,
+        act: impl FnOnce(&ReadTransaction) -> Result<T, Fault>,
+    ) -> Result<T, StoreError> {
+        let is_logged = |file: &OpenFile| Ok(file.is_logged.load(Ordering::Acquire));
+        if !self.salvages.load(Ordering::Acquire) && self.with(is_logged)? {
+            self.take_log(&mut self.memo.lock())?;
+        }
+        self.with(|file| act(&file.begin_read()?))
     }
 }
 

@@ -39,6 +39,8 @@ pub(super) enum RecordError {
     Depth,
     #[error("a value is of the unknown kind {kind}")]
     Kind { kind: u8 },
+    #[error("a commit in the log, at byte {at} of it, is not whole, and those after it are not read")]
+    Log { at: usize },
     #[error("a large value of it is missing")]
     NoBlob,
     #[error(transparent)]
@@ -274,12 +276,12 @@ pub(super) fn blobs_of(bytes: &[u8], head: RecordHeader) -> Result<Vec<Hash>, Re
     Ok(found.into_inner())
 }
 
-struct ByteReader<'b> {
-    rest: &'b [u8],
+pub(super) struct ByteReader<'b> {
+    pub(super) rest: &'b [u8],
 }
 
 impl<'b> ByteReader<'b> {
-    fn take(&mut self, count: usize) -> Result<&'b [u8], RecordError> {
+    pub(super) fn take(&mut self, count: usize) -> Result<&'b [u8], RecordError> {
         let (taken, rest) = self.rest.split_at_checked(count).ok_or(RecordError::Short)?;
         self.rest = rest;
         Ok(taken)
@@ -291,11 +293,11 @@ impl<'b> ByteReader<'b> {
         Ok(*taken)
     }
 
-    fn u32(&mut self) -> Result<u32, RecordError> {
+    pub(super) fn u32(&mut self) -> Result<u32, RecordError> {
         Ok(u32::from_le_bytes(self.array()?))
     }
 
-    fn u64(&mut self) -> Result<u64, RecordError> {
+    pub(super) fn u64(&mut self) -> Result<u64, RecordError> {
         Ok(u64::from_le_bytes(self.array()?))
     }
 

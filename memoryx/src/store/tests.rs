@@ -247,10 +247,13 @@ fn what_has_changed_since_a_named_snapshot_is_said() {
 #[test]
 fn a_part_of_a_chunk_is_forgotten_and_later_the_rest() {
     let (_folder, _, store) = store();
-    let together = [snapshot("S/p/e", 1, 0, 1), snapshot("S/p/gone", 1, 50, 1), removed("S/p/gone", 2, 50)];
+    const SECOND: u64 = 1_000_000_000;
+    let (half, whole) = (SECOND / 2, SECOND);
+    let together =
+        [snapshot("S/p/e", 1, 0, 1), snapshot("S/p/gone", 1, half, 1), removed("S/p/gone", 2, half)];
     store.persist(&together).unwrap();
     store.persist(&[snapshot("S/p/e", 2, 1, 2)]).unwrap();
-    store.persist(&[snapshot("S/p/e", 3, 60, 3)]).unwrap();
+    store.persist(&[snapshot("S/p/e", 3, 3 * whole, 3)]).unwrap();
     let retain = |now: u64| store.retain(Retention { age_ns: Some(0), bytes: None }, now).unwrap();
     assert_eq!(retain(20).snapshots, 2, "both old ones of `e`");
     assert!(store.verify().unwrap().is_intact());

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use redb::{Key, ReadableDatabase, ReadableTable, ReadableTableMetadata, Value};
+use redb::{Key, ReadableTable, ReadableTableMetadata, Value};
 use sha2::{Digest, Sha256};
 
 use super::error::Fault;
@@ -59,10 +59,9 @@ impl LongTermMemory {
     }
 
     fn read_all(&self, found: &mut Verification) -> Result<(), StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read()?;
+        self.read_tables(|transaction| {
             let mut uses = BTreeMap::new();
-            verify_records(&Reader::new(&transaction)?, &mut uses, found)?;
+            verify_records(&Reader::new(transaction)?, &mut uses, found)?;
             let Totals { snapshots, .. } = Totals::read(&transaction.open_table(META)?)?;
             if snapshots != found.intact {
                 found.damage(format!("{snapshots} snapshots are counted, {} are intact", found.intact));

@@ -1,6 +1,7 @@
 //! Storing snapshots: one transaction per group, whose records are written one after the other into chunks.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use indexmap::IndexMap;
 use parking_lot::MutexGuard;
@@ -16,6 +17,8 @@ use crate::entity::{EntityId, Snapshot};
 
 /// Most bytes of a chunk with several records: with its overhead it fills a page of 64 kB.
 const MAX_CHUNK_BYTES: usize = 65_000;
+/// Records that arrived further apart than this, ns, are in different chunks, because retention forgets a chunk at once.
+const MAX_CHUNK_NS: u64 = 1_000_000_000;
 /// The key in the table `given` of all entities that are not stored.
 pub(super) const OF_OTHERS: u64 = u64::MAX;
 /// Most entities in the cache.
@@ -44,21 +47,24 @@ pub(super) struct Totals {
     pub(super) snapshots: u64,
     /// Bytes of chunks and blobs.
     pub(super) bytes: u64,
+    /// The round of the log.
+    pub(super) round: u64,
 }
 
 impl Totals {
-    const NAMES: [&str; 4] = ["next_entity", "next_chunk", "snapshots", "bytes"];
+    const NAMES: [&str; 5] = ["next_entity", "next_chunk", "snapshots", "bytes", "log"];
 
     pub(super) fn read(meta: &impl ReadableTable<&'static str, u64>) -> Result<Self, redb::StorageError> {
-        let [mut a, mut b, mut c, mut d] = [0; 4];
-        for (name, to) in Self::NAMES.into_iter().zip([&mut a, &mut b, &mut c, &mut d]) {
+        let mut numbers = [0; Self::NAMES.len()];
+        for (name, to) in Self::NAMES.into_iter().zip(&mut numbers) {
             *to = meta.get(name)?.map_or(0, |v| v.value());
         }
-        Ok(Self { next_entity: a, next_chunk: b, snapshots: c, bytes: d })
+        let [next_entity, next_chunk, snapshots, bytes, round] = numbers;
+        Ok(Self { next_entity, next_chunk, snapshots, bytes, round })
     }
 
     fn write(self, meta: &mut Table<'_, &'static str, u64>) -> Result<(), redb::StorageError> {
-        let numbers = [self.next_entity, self.next_chunk, self.snapshots, self.bytes];
+        let numbers = [self.next_entity, self.next_chunk, self.snapshots, self.bytes, self.round];
         for (name, number) in Self::NAMES.into_iter().zip(numbers) {
             meta.insert(name, number)?;
         }
@@ -142,6 +148,24 @@ impl<'t> Writer<'t> {
         Ok(self.index.get((number, version))?.is_some())
     }
 
+    /// Adds snapshots, and notes versions that were given. Returns how many snapshots are new.
+    fn add_all<'i>(
+        &mut self,
+        snapshots: &[Arc<Snapshot>],
+        given: impl Iterator<Item = (Option<&'i EntityId>, u64)>,
+        memo: &EntityCache,
+        others_write: bool,
+    ) -> Result<usize, Fault> {
+        let mut new = 0;
+        for snapshot in snapshots {
+            new += usize::from(self.add(snapshot, memo, others_write)?);
+        }
+        for (id, version) in given {
+            self.note_given(id, version, memo)?;
+        }
+        Ok(new)
+    }
+
     /// Adds a snapshot unless it is already stored; where others write too, behind what they have stored meanwhile. Returns
     /// whether it is new.
     pub(super) fn add(
@@ -184,7 +208,8 @@ impl<'t> Writer<'t> {
         if is_newer {
             (known.newest, known.newest_referenced_ns) = (snapshot.version, snapshot.referenced_ns);
         }
-        if self.open.len() > MAX_CHUNK_BYTES && start > 0 {
+        let is_later = snapshot.arrived_ns > self.newest_arrival.saturating_add(MAX_CHUNK_NS);
+        if (self.open.len() > MAX_CHUNK_BYTES || is_later) && start > 0 {
             let record = self.open.split_off(start);
             self.close_chunk()?;
             self.open.extend_from_slice(&record);
@@ -347,17 +372,47 @@ impl LongTermMemory {
         if snapshots.is_empty() && given.is_empty() {
             return Ok(0);
         }
-        self.write(|writer, memo| {
-            let mut new = 0;
-            for snapshot in snapshots {
-                new += usize::from(writer.add(snapshot, memo, self.shared)?);
+        let mut memo = self.memo.lock();
+        let stored = match self.append(snapshots, given, &memo) {
+            Ok(true) => {
+                self.journal(snapshots, given);
+                Ok(snapshots.len())
             }
-            for (id, version) in given {
-                writer.note_given(*id, *version, memo)?;
+            Ok(false) => self.write_in(&mut memo, |writer, memo| {
+                let new = writer.add_all(snapshots, given.iter().copied(), memo, self.shared)?;
+                self.journal(snapshots, given);
+                Ok((new, new > 0 || !given.is_empty()))
+            }),
+            Err(error) => {
+                *self.journal.lock() = None;
+                Err(error)
             }
-            self.journal(snapshots, given);
-            Ok((new, new > 0 || !given.is_empty()))
+        };
+        MutexGuard::unlock_fair(memo);
+        stored
+    }
+
+    /// Appends a commit to the log. Returns whether it belongs there.
+    fn append(
+        &self,
+        snapshots: &[Arc<Snapshot>],
+        given: &[(Option<&EntityId>, u64)],
+        memo: &EntityCache,
+    ) -> Result<bool, StoreError> {
+        if self.shared {
+            return Ok(false);
+        }
+        self.with(|file| {
+            let Some(log) = &mut *file.log.lock() else { return Ok(false) };
+            let is_logged = log.append(snapshots, given, memo)?;
+            file.is_logged.fetch_or(is_logged, Ordering::AcqRel);
+            Ok(is_logged)
         })
+    }
+
+    /// Takes what is in the log into the tables.
+    pub(super) fn take_log(&self, memo: &mut EntityCache) -> Result<(), StoreError> {
+        self.write_in(memo, |_, _| Ok(((), false)))
     }
 
     /// Changes the file in one transaction, unless `act` returns that nothing has changed.
@@ -366,24 +421,47 @@ impl LongTermMemory {
         act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
     ) -> Result<T, StoreError> {
         let mut memo = self.memo.lock();
+        let written = self.write_in(&mut memo, act);
+        // Whoever changes much, part by part, lets a commit that waits come in between.
+        MutexGuard::unlock_fair(memo);
+        written
+    }
+
+    /// As [`Self::write`]. What is in the log goes into the tables before.
+    fn write_in<T>(
+        &self,
+        memo: &mut EntityCache,
+        act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
+    ) -> Result<T, StoreError> {
         if self.shared {
             // Others have written since.
             memo.clear();
         }
-        let written = self.with(|database| {
-            let mut transaction = database.begin_write()?;
+        let written = self.with(|file| {
+            let mut log = file.log.lock();
+            let log = log.as_mut().filter(|log| !log.stored.is_empty());
+            let mut transaction = file.begin_write()?;
             // So the file is opened at once after a kill.
             transaction.set_quick_repair(true);
             let mut writer = Writer::new(&transaction)?;
-            let (result, changed) = act(&mut writer, &memo)?;
-            if !changed {
+            if let Some(log) = &log {
+                writer.add_all(&log.stored.snapshots, log.stored.given(), memo, self.shared)?;
+                writer.totals.round = log.next_round();
+            }
+            let (result, changed) = act(&mut writer, memo)?;
+            if !changed && log.is_none() {
                 return Ok((result, EntityCache::new(), false));
             }
+            let round = writer.totals.round;
             let (known, forgets) = writer.finish()?;
             transaction.commit()?;
+            if let Some(log) = log {
+                log.begin(round);
+                file.is_logged.store(false, Ordering::Release);
+            }
             Ok((result, known, forgets))
         });
-        let result = match written {
+        match written {
             Ok((result, known, forgets)) => {
                 if forgets || memo.len() + known.len() > MAX_CACHED {
                     memo.clear();
@@ -399,9 +477,6 @@ impl LongTermMemory {
                 *self.journal.lock() = None;
                 Err(error)
             }
-        };
-        // Whoever changes much, part by part, lets a commit that waits come in between.
-        MutexGuard::unlock_fair(memo);
-        result
+        }
     }
 }
