@@ -28,8 +28,9 @@ settings! {
 }
 
 /// The chart, the charts that it needs, and the world.
-const FILES: [(&str, &str); 3] = [
+const FILES: [(&str, &str); 4] = [
     (CHART, include_str!("../../statecharts/learn_together.yaml")),
+    ("find_together.yaml", include_str!("../../statecharts/find_together.yaml")),
     ("take_together.yaml", include_str!("../../statecharts/take_together.yaml")),
     ("learn_together.world.yaml", include_str!("../../statecharts/learn_together.world.yaml")),
 ];

@@ -65,6 +65,7 @@ fn mermaid_draws_every_chart_and_shows_every_text_as_it_was() {
     let shipped = [
         "await_cup",
         "carry_box",
+        "find_together",
         "grasp_object",
         "guide",
         "guide_both",
