@@ -140,8 +140,9 @@ impl PriorKnowledge {
 #[must_use]
 pub fn check(source: &Source, files: &dyn Files) -> Vec<Finding> {
     let folder = source.path.parent().unwrap_or(Path::new(""));
-    let mut paths: Vec<PathBuf> =
-        files.list(folder).into_iter().filter(|path| *path != source.path).collect();
+    // By their names, because a path in the present folder may begin with `./` or not.
+    let is_other = |path: &PathBuf| path.file_name() != source.path.file_name();
+    let mut paths: Vec<PathBuf> = files.list(folder).into_iter().filter(is_other).collect();
     paths.retain(|path| files.head(path).is_some_and(|head| is_prior(&head)));
     paths.truncate(MAX_FILES);
     paths.push(source.path.clone());
