@@ -286,7 +286,7 @@ fn documented<'p>(pictured: impl Iterator<Item = &'p Pictured>) {
                 "docs/motion.md does not say `{text}` of {experiment}, {settings:?}"
             );
         }
-        for (plot, file) in pictures {
+        for (plot, file) in *pictures {
             let drawn = outcome.plots.iter().find(|(stem, _)| stem == plot);
             let drawn = &drawn.expect("the experiment draws this plot").1;
             let kept = std::fs::read_to_string(docs.join(format!("images/{file}.svg"))).unwrap_or_default();
