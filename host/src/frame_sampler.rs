@@ -10,8 +10,8 @@ use armarium_simulator::World;
 use armarium_values::report::Picture;
 use armarium_visionx::providers::convert::jpeg;
 use armarium_visionx::{
-    ColorModel, HandObserver, ImageError, ImageSource, ObjectLocalizer, RgbImage, StereoCalibration,
-    StereoFrame, annotate, components,
+    BodyObserver, ColorModel, HandObserver, ImageError, ImageSource, ObjectLocalizer, PeopleStep, RgbImage,
+    StereoCalibration, StereoFrame, StereoStep, annotate, components,
 };
 use async_trait::async_trait;
 use parking_lot::Mutex;
@@ -41,13 +41,16 @@ struct SearchTargets {
     /// Names, edge lengths, m, and colours.
     objects: Vec<(String, [f64; 3], [u8; 3])>,
     tool: ColorModel,
+    /// Whether there are people.
+    people: bool,
 }
 
 impl FrameSampler {
     /// A sampler between these cameras and their readers.
     pub(crate) fn of(cameras: Arc<dyn ImageSource>, world: &World, recorder: SharedRecorder) -> Self {
         let objects = world.objects.iter().map(|o| (o.name.clone(), o.size, o.color)).collect();
-        let known = SearchTargets { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
+        let (tool, people) = (ColorModel::from_rgb(world.coach.tool.color), world.people().next().is_some());
+        let known = SearchTargets { objects, tool, people };
         Self { cameras, kept: Mutex::default(), newest: Mutex::default(), known, recorder }
     }
 
@@ -111,6 +114,13 @@ impl SearchTargets {
         if let Some(patch) = components(&self.tool.segment(&frame.left), MIN_PATCH).first() {
             annotate::region(&mut image, &patch.bounds, [0, 255, 0]);
             seen.push("the coach's tool".to_owned());
+        }
+        if self.people {
+            let mut step = PeopleStep::new(BodyObserver::new(calibration), |_| Vec::new());
+            if step.step(frame).iter().any(|person| person.confidence > 0.0) {
+                step.draw(&mut image);
+                seen.push("a person".to_owned());
+            }
         }
         if let Some(hand) = HandObserver::new(calibration).update(frame) {
             annotate::hand(&mut image, &hand);
