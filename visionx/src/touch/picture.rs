@@ -129,11 +129,9 @@ impl Picture {
             if depth == 0.0 || self.hides(&px, HALF) {
                 return None;
             }
-            let at = other_from_this * Point3::from(self.camera.ray(&px) * depth);
-            let there = self.camera.project(&at)?;
-            // What moves in front of it is no measure of the camera's motion.
-            let is_there = !other.hides(&there, HALF) && other.shows(&(other.root_from_left * at), &there, 0);
-            is_there.then(|| (Point2::new(x as i32, y as i32), there))
+            let there =
+                self.camera.project(&(other_from_this * Point3::from(self.camera.ray(&px) * depth)))?;
+            (!other.hides(&there, HALF)).then(|| (Point2::new(x as i32, y as i32), there))
         };
         let grid = Region::whole(self.camera.width / GRID, self.camera.height / GRID);
         align(&self.left, &other.left, &grid.pixels().filter_map(pair).collect::<Vec<_>>())

@@ -25,7 +25,7 @@ const PLAIN: f64 = 9.0;
 const TOGETHER: f64 = 0.10;
 const CONNECTED: f64 = 0.012;
 /// So many patches of a thing, and such a share of them, must have moved in one picture, or in two that follow each other.
-const SURE: (usize, f64) = (16, 0.6);
+const SURE: (usize, f64) = (16, 0.75);
 const LIKELY: (usize, f64) = (8, 0.35);
 /// Standard deviation of the place of a touch, m.
 const PLACE: f64 = 0.01;
@@ -111,20 +111,20 @@ impl TouchStep {
 
     /// The touch that the patches show.
     fn touch(&mut self, stamp_ns: u64) -> Option<Observation> {
-        let places = |has_moved: bool| -> Vec<Point3<f64>> {
-            let of = |patch: &&Patch| (patch.found == PatchMotion::Moved) == has_moved;
-            self.last.iter().filter(of).map(|patch| patch.at).collect()
+        let of = |found: PatchMotion| {
+            self.last.iter().filter(move |patch| patch.found == found).map(|patch| patch.at)
         };
-        let (moved, others) = (places(true), places(false));
+        let (moved, still): (Vec<_>, Vec<_>) =
+            (of(PatchMotion::Moved).collect(), of(PatchMotion::Still).collect());
         let around = |middle: &Point3<f64>, all: &[Point3<f64>]| {
             all.iter().filter(|at| (*at - middle).norm() < TOGETHER).count()
         };
         // The one with the most others around it.
         let before = std::mem::take(&mut self.likely);
         let middle = *moved.iter().max_by_key(|at| around(at, &moved))?;
-        let (moving, others) = (around(&middle, &moved), around(&middle, &others));
+        let (moving, still) = (around(&middle, &moved), around(&middle, &still));
         let is = |(enough, share): (usize, f64)| {
-            moving >= enough && moving as f64 >= share * (moving + others) as f64
+            moving >= enough && moving as f64 >= share * (moving + still) as f64
         };
         self.likely = is(LIKELY);
         if !(is(SURE) || before && self.likely) {
