@@ -259,8 +259,10 @@ fn damage_in_the_log_is_noticed() {
         let store = LongTermMemory::open(&killed).unwrap();
         let mut lines = Vec::new();
         if place >= entry(4) {
-            // The last one cannot be told from one that was not acknowledged; a log line says so.
+            // The last one cannot be told from one that was not acknowledged; a log line says that it is not whole.
             assert_eq!(store.stats().unwrap().snapshots, 5);
+            let (log, round) = (&flipped[4096..], bytes[entry(4) + 8..].first_chunk().unwrap());
+            assert!(log::is_cut(log, entry(4) - 4096, u64::from_le_bytes(*round)), "byte {place}");
             continue;
         }
         let error = store.stats().unwrap_err();

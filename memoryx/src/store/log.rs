@@ -111,7 +111,7 @@ impl Log {
         if log.is_damaged && !salvages {
             return Err(RecordError::Log { at: log.end }.into());
         }
-        if !log.is_damaged && is_begun(&bytes, log.end, round) {
+        if !log.is_damaged && is_cut(&bytes, log.end, round) {
             tracing::warn!(
                 "the last commit before the end was not completed, or is damaged: it is left out of long-term memory"
             );
@@ -197,6 +197,15 @@ fn number<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
 fn is_begun(bytes: &[u8], at: usize, round: u64) -> bool {
     let is_empty = number(bytes, at).is_none_or(|length| length == [0; 4]);
     !is_empty && number(bytes, at + 8).is_some_and(|found| u64::from_le_bytes(found) == round)
+}
+
+/// Whether a place has an entry of this round that is not whole: it says this round, or would be whole if it did.
+pub(super) fn is_cut(bytes: &[u8], at: usize, round: u64) -> bool {
+    let mut entry = bytes.get(at..).unwrap_or_default().to_vec();
+    if let Some(place) = entry.get_mut(8..16) {
+        place.copy_from_slice(&round.to_le_bytes());
+    }
+    is_begun(bytes, at, round) || entry_at(&entry, 0, round).is_some()
 }
 
 /// The length of the entry at a place, if a whole one of this round is there.
