@@ -189,14 +189,15 @@ impl Log {
     }
 }
 
-fn number<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+/// So many bytes from a place.
+fn array<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }
 
 /// Whether an entry of this round, whole or not, is at a place.
 fn is_begun(bytes: &[u8], at: usize, round: u64) -> bool {
-    let is_empty = number(bytes, at).is_none_or(|length| length == [0; 4]);
-    !is_empty && number(bytes, at + 8).is_some_and(|found| u64::from_le_bytes(found) == round)
+    let is_empty = array(bytes, at).is_none_or(|length| length == [0; 4]);
+    !is_empty && array(bytes, at + 8).is_some_and(|found| u64::from_le_bytes(found) == round)
 }
 
 /// Whether a place has an entry of this round that is not whole: it says this round, or would be whole if it did.
@@ -213,18 +214,20 @@ fn entry_at(bytes: &[u8], at: usize, round: u64) -> Option<usize> {
     if !is_begun(bytes, at, round) {
         return None;
     }
-    let length = u32::from_le_bytes(number(bytes, at)?) as usize;
+    let length = u32::from_le_bytes(array(bytes, at)?) as usize;
     let content = bytes.get(at + 8..at.checked_add(length)?)?;
-    let is_whole = length >= ENTRY_HEAD && number(bytes, at + 4)? == crc32fast::hash(content).to_le_bytes();
+    let is_whole = length >= ENTRY_HEAD && array(bytes, at + 4)? == crc32fast::hash(content).to_le_bytes();
     is_whole.then_some(length)
 }
 
+/// Appends an entity's key with its length before it; without an entity, the length 0.
 fn put_key(to: &mut Vec<u8>, id: Option<&EntityId>) {
     let key = id.map(record::entity_key).unwrap_or_default();
     to.extend_from_slice(&u32::try_from(key.len()).unwrap_or(u32::MAX).to_le_bytes());
     to.extend_from_slice(&key);
 }
 
+/// Adds what a whole entry holds.
 fn read_entry(entry: &[u8], to: &mut Stored) -> Result<(), RecordError> {
     let mut cursor = ByteReader { rest: entry.get(16..).ok_or(RecordError::Short)? };
     let (snapshots, given) = (cursor.u32()?, cursor.u32()?);

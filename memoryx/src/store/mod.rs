@@ -143,7 +143,7 @@ struct OpenFile {
     database: Database,
     /// Locked by the writer. `None` where an earlier program has made the file.
     log: Mutex<Option<Log>>,
-    /// Whether something is in the log.
+    /// Whether something is in the log, for readers, who do not wait for the writer's lock.
     is_logged: AtomicBool,
 }
 
