@@ -196,6 +196,36 @@ mod tests {
     }
 
     #[test]
+    fn hands_that_go_down_show_the_turn_about_the_line_between_them_although_the_surface_is_tilted() {
+        let mounted = Isometry3::new(Vector3::new(0.015, -0.02, 0.01), Vector3::new(0.05, 0.04, -0.06));
+        let up = UnitQuaternion::from_euler_angles(0.035, 0.0, 0.0) * Vector3::z_axis();
+        // How far a thing below the hands is turned wrongly about the line between them, where they have gone down by so much.
+        let wrong = |way: f64| {
+            let first = head(0.0, 0.0);
+            let mut mounting = CameraMounting::levelled(&first, &(first * (first * mounted).inverse() * up));
+            for k in 0..80 {
+                let marker = (k / 4) % 2;
+                let believed = head(if marker == 0 { -0.2 } else { 0.2 }, 0.1);
+                let x = if marker == 0 { 0.36 } else { -0.34 };
+                let in_root = Point3::new(x, 0.44, 1.28 - way * f64::from(k as u32) / 80.0);
+                let view = MarkerView {
+                    at: 0.07 * f64::from(k as u32),
+                    root_from_camera: believed,
+                    in_camera: (believed * mounted).inverse() * in_root,
+                    in_root,
+                };
+                mounting.see(marker, view).unwrap();
+            }
+            let believed = head(0.0, 0.1);
+            let turned = mounting.from_shown(&believed) * believed * (believed * mounted).inverse();
+            turned.rotation.scaled_axis().x.abs()
+        };
+        let (still, moved) = (wrong(0.0), wrong(0.2));
+        assert!((still - 0.035).abs() < 0.004, "as wrong as the surface is: {still}");
+        assert!(moved < 0.6 * still, "{moved} of {still}");
+    }
+
+    #[test]
     fn what_is_not_finite_changes_nothing() {
         let mut mounting = CameraMounting::levelled(&Isometry3::identity(), &Vector3::z_axis());
         let view = MarkerView {
