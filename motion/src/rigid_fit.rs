@@ -76,7 +76,7 @@ fn principal_spread(covariance: &Matrix3<f64>) -> [f64; 3] {
     [values[0], values[1], values[2]]
 }
 
-pub(crate) fn nearest_rotation(cross: &Matrix3<f64>) -> Result<Rotation3<f64>, MotionError> {
+fn nearest_rotation(cross: &Matrix3<f64>) -> Result<Rotation3<f64>, MotionError> {
     let svd = cross.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
         return Err(MotionError::Degenerate { what: "points", why: "their decomposition fails" });

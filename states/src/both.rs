@@ -21,12 +21,6 @@ use crate::torso::{TurningTorso, helps_both};
 const SQUEEZE: &str = "squeeze";
 const FRICTION: &str = "friction";
 const HOLD: &str = "hold";
-pub(crate) const STIFFNESS: &str = "stiffness";
-/// Where it is known how stiff the contacts are, the squeeze settles with this rate, 1/s: drives are faster.
-const SETTLES: f64 = 15.0;
-/// Then it is raised at this rate, N/s, and the hands close with at most this speed, m/s.
-const RAISED: f64 = 1500.0;
-const CLOSES: f64 = 0.15;
 /// What a hand grips is gone when its pads have come nearer to each other by this, m.
 const CLOSED: f64 = 0.008;
 /// A hand that is further than this from where it should be has not arrived, m.
@@ -74,13 +68,7 @@ pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
 /// Adds the inputs that say how a load is held, by pressing or by grips.
 pub(crate) fn holds(manifest: SkillManifest) -> SkillManifest {
     let what = "How the hands hold it: `press` from two sides, or `grip`, each a handle, without a squeeze.";
-    let stiff = "How stiff the contacts of hands that press are, N/m, as `SqueezeTogether` feels it: then the squeeze rises within a shove. 0: unknown.";
-    squeezes(manifest).optional(STIFFNESS, Type::FLOAT, 0.0, stiff).optional(
-        HOLD,
-        Type::one_of(["press", "grip"]),
-        "press",
-        what,
-    )
+    squeezes(manifest).optional(HOLD, Type::one_of(["press", "grip"]), "press", what)
 }
 
 /// How the hands hold the load.
@@ -103,19 +91,6 @@ pub(crate) fn config(equipment: &Equipment, context: &SkillContext) -> Result<Sh
         )));
     }
     Ok(SharedLoadConfig { squeeze, most_squeeze, friction, ..SharedLoadConfig::default() })
-}
-
-/// The same for a load that the hands hold already: the squeeze is quick where it is known how stiff the contacts are.
-pub(crate) fn config_held(
-    equipment: &Equipment,
-    context: &SkillContext,
-) -> Result<SharedLoadConfig, Failure> {
-    let config = config(equipment, context)?;
-    let stiffness = context.number(STIFFNESS)?;
-    if stiffness <= 0.0 {
-        return Ok(config);
-    }
-    Ok(SharedLoadConfig { gain: SETTLES / stiffness, squeeze_rate: RAISED, fastest: CLOSES, ..config })
 }
 
 /// Both arms with their leases.

@@ -38,10 +38,8 @@ constants! {
         margin: f64 = 1.5, 1.0..=10.0;
         /// A load that would slip in the largest squeeze, without the margin, for this long is about to be lost, s.
         slips_after: f64 = 0.3, 0.0..=60.0;
-        /// How fast the wanted squeeze rises, N/s.
+        /// How fast the wanted squeeze changes, N/s.
         squeeze_rate: f64 = 80.0, POSITIVE;
-        /// And how fast it falls, N/s: slower than a load swings between soft hands.
-        easing_rate: f64 = 40.0, POSITIVE;
         /// Closing speed of each hand for a missing newton, m/s/N. With contacts of the stiffness K, the squeeze settles with the
         /// rate K times this; it has to be slower than the drives.
         gain: f64 = 7e-4, GAIN;
@@ -262,24 +260,21 @@ impl SharedLoad {
         let forces = LoadForces::of(hands)?;
         let c = &self.config;
         let load_from_root = loads[0].pose.rotation.inverse();
-        // With less than this a hand slips: what each presses beyond what both do, or less, it does whatever the squeeze is.
-        let least = |firm: f64| {
-            let missing = |(across, along): &(f64, f64)| firm * along / c.friction - across;
-            forces.squeeze + forces.hands.iter().map(missing).fold(f64::NEG_INFINITY, f64::max)
-        };
+        // With less than this a hand slips.
+        let least = forces.hands.iter().map(|(_, along)| along / c.friction).fold(0.0, f64::max);
         // Along this line the squeeze is kept; in all other directions the hands yield.
         let (line, needed) = match self.holding {
             Holding::Pressing => {
                 // Half of the load with the margin, and what each hand really carries with a small one.
                 let shared = c.margin * forces.external.norm() / (2.0 * c.friction);
-                let needed = c.squeeze.max(shared).max(least(FIRM)).min(c.most_squeeze);
+                let needed = c.squeeze.max(shared).max(FIRM * least).min(c.most_squeeze);
                 (load_from_root * forces.line.into_inner(), needed)
             }
             Holding::Gripping => (Vector3::zeros(), 0.0),
         };
-        let too_little = self.holding == Holding::Pressing && least(1.0) > c.most_squeeze;
+        let too_little = self.holding == Holding::Pressing && least > c.most_squeeze;
         self.slips = if too_little { self.slips + dt } else { 0.0 };
-        self.wanted += (needed - self.wanted).clamp(-c.easing_rate * dt, c.squeeze_rate * dt);
+        self.wanted += (needed - self.wanted).clamp(-c.squeeze_rate * dt, c.squeeze_rate * dt);
         let closing = (c.gain * (self.wanted - forces.squeeze)).clamp(-c.fastest, c.fastest);
         let along_sides = load_from_root * forces.internal - line * forces.squeeze;
         let along = self.beyond[0] - line * self.beyond[0].dot(&line);

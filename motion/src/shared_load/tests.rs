@@ -211,34 +211,6 @@ fn hands_that_grip_yield_to_all_that_is_between_them_and_do_not_squeeze() {
     assert!((after - before / 4.0).norm() < 0.3, "{after} of {before}");
 }
 
-/// What a load of 2 kg that hangs between both hands and is shoved along its side needs most beyond what they press, N, in the half second.
-fn missing_in_a_shove(config: SharedLoadConfig) -> f64 {
-    let mut rig = Rig::new(6000.0, 0.0125);
-    held(&mut rig, SharedLoadConfig { squeeze: 17.0, ..config.clone() }, 5.0);
-    let mut law = SharedLoad::new(SharedLoadConfig { squeeze: 17.0, ..config }, &rig.hands()).unwrap();
-    let (load, weight) = (resting(&law), rig.weight);
-    let mut worst = 0.0_f64;
-    for k in 0..500 {
-        // Half a sine of 20 N, 0.2 s long, downwards.
-        let t = f64::from(k) * DT;
-        rig.weight = weight + if t < 0.2 { 20.0 * (std::f64::consts::PI * t / 0.2).sin() } else { 0.0 };
-        let step = law.step(DT, &rig.hands(), &load).unwrap();
-        let needs = step.forces.hands.iter().map(|(across, along)| along / 0.6 - across);
-        worst = needs.fold(worst, f64::max);
-        rig.follow(&step);
-    }
-    worst
-}
-
-#[test]
-fn with_known_contacts_the_squeeze_comes_within_a_shove() {
-    let quick =
-        SharedLoadConfig { gain: 15.0 / 6000.0, squeeze_rate: 1500.0, fastest: 0.15, ..Default::default() };
-    let (slow, quick) = (missing_in_a_shove(SharedLoadConfig::default()), missing_in_a_shove(quick));
-    assert!(slow > 3.0, "the shove is large enough to matter: {slow} N");
-    assert!(quick < 1.0, "{quick} N are missing, {slow} N without knowing the contacts");
-}
-
 #[test]
 fn a_load_that_is_gone_is_noticed() {
     let mut rig = Rig::new(6000.0, 0.04);

@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, config_held, holding, holds, moves_both, turns_torso};
+use crate::both::{BothArms, config, holding, holds, moves_both, turns_torso};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::motions::failed;
@@ -45,7 +45,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     if context.flag("torso")? {
         both.turn_torso(&equipment, &context, &senses.newest());
     }
-    let mut law = both.take_load(&senses.newest(), config_held(&equipment, &context)?)?;
+    let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
     let from = *law.taken();
     let to = Isometry3::from_parts(Translation3::from(from.translation.vector + by), turn * from.rotation);
     let mut line = StraightLine::new(from, to, context.number("speed")?).map_err(failed)?;

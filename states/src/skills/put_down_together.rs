@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Translation3, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, at_rest, config_held, holding, holds, moves_both};
+use crate::both::{BothArms, at_rest, config, holding, holds, moves_both};
 use crate::equipment::{self, Equipment};
 use crate::motions::failed;
 
@@ -57,7 +57,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (down, holding) = (Vector3::z() * -farthest, holding(&context)?);
     let mut both = BothArms::take(&equipment, &context, &[down], holding).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut law = both.take_load(&senses.newest(), config_held(&equipment, &context)?)?;
+    let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
     let above = (context.number("expected")?.min(farthest) - BEFORE).max(0.0);
     let low = Translation3::from(Vector3::z() * -above) * law.taken();
     let mut line = StraightLine::new(*law.taken(), low, LOWERING).map_err(failed)?;
