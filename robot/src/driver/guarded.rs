@@ -67,7 +67,12 @@ impl GuardedDriver {
             // After a long delay in real time the robot's time stays behind: otherwise the guard would take the silence of the
             // commanders for their end.
             due = (due + period).max(Instant::now().checked_sub(MAX_DELAY).unwrap_or(due));
-            tokio::time::sleep_until(due).await;
+            if due > Instant::now() {
+                tokio::time::sleep_until(due).await;
+            } else {
+                // A time that is over is not waited for: this thread's other tasks, who have been sent the sample, would not come to run.
+                tokio::task::yield_now().await;
+            }
         }
     }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use armarium_bus::{Payload as _, Session, SessionConfig};
 use tokio::runtime::{Builder, Runtime};
@@ -104,6 +105,52 @@ fn two_runs_in_lockstep_are_the_same() {
     let first = run();
     assert!(first.len() >= 400, "{}", first.len());
     assert_eq!(first, run());
+}
+
+/// A driver that computes for longer than its period.
+struct Slow(ServoDriver);
+
+impl Driver for Slow {
+    fn clock(&self) -> DriverClock {
+        self.0.clock()
+    }
+
+    fn period(&self) -> Duration {
+        self.0.period()
+    }
+
+    fn sample(&mut self) -> Result<TimedSample, DriverError> {
+        std::thread::sleep(2 * self.period());
+        self.0.sample()
+    }
+
+    fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
+        self.0.apply(targets)
+    }
+
+    fn brake(&mut self) {
+        self.0.brake();
+    }
+}
+
+/// Skills, and those who send states to others, have each sample before the next one is waited for.
+#[test]
+fn a_slow_driver_in_lockstep_holds_up_nobody_who_waits_for_samples() {
+    let model = model("pillar7");
+    let driver = Slow(ServoDriver::new(&model, model.start(), DriverClock::Lockstep));
+    let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    let threads = Builder::new_current_thread().enable_all().build().unwrap();
+    let seen = threads.block_on(async {
+        let mut sensed = robot.sensed();
+        tokio::spawn(GuardedDriver::new(guard, driver).run(|stamp_ns, _| stamp_ns < 300_000_000));
+        let mut seen = 0;
+        while sensed.changed().await.is_ok() {
+            seen += 1;
+            sensed.borrow_and_update();
+        }
+        seen
+    });
+    assert!(seen >= 300, "only {seen} of 300 samples were seen");
 }
 
 #[test]
