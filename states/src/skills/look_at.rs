@@ -31,12 +31,6 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         vec![0.0, 0.0, 0.0],
         "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
     )
-    .optional(
-        "keep",
-        Type::Bool,
-        false,
-        "Whether it goes on looking there, whatever moves below the head, until it is cancelled.",
-    )
     .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
     .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
     equipment::skill(equipment, moves_the_head(names_the_arm(manifest), equipment), run)
@@ -61,13 +55,9 @@ fn point(equipment: &Equipment, context: &SkillContext) -> Result<Point3<f64>, F
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let point = point(&equipment, &context)?;
     let (tolerance, timeout) = (context.number("tolerance")?, context.number("timeout")?);
-    let keep = context.flag("keep")?;
     let mut head = Head::take(&equipment, &context)?;
     if !head.turns() {
-        let seen = in_view(&equipment, &mut head, &point)?;
-        if !keep {
-            return Ok(seen);
-        }
+        return in_view(&equipment, &mut head, &point);
     }
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut elapsed, mut reached_for) = (0.0, 0.0);
@@ -75,9 +65,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
         let angle = head.look(&sample, dt, &point, SPEED)?;
-        if keep {
-            continue;
-        }
         reached_for = if angle < tolerance { reached_for + dt } else { 0.0 };
         if reached_for > REST_TIME {
             return Ok(Outcome::success());
