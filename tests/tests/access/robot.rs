@@ -89,6 +89,8 @@ async fn certificates_say_who_drives_who_commands_and_who_looks_on() {
             if seen.borrow_and_update().velocity[arm.joints[0]] > 0.05 {
                 return;
             }
+            // Often enough for the watchdog of 30 ms. Links over TLS on which much goes both ways may stall (docs/memory.md, "Security").
+            sleep(Duration::from_millis(10)).await;
             // On a machine with much else to do, a command may come too late, and its lease is lost.
             let velocities = vec![0.2; arm.joints.len()];
             if held.as_ref().is_none_or(|held| held.command(&velocities).is_err()) {
