@@ -131,7 +131,7 @@ struct TruePress {
     at: [[f64; 3]; 2],
     force: [[f64; 3]; 2],
     /// The normal force of the table on it, N.
-    table_n: f64,
+    borne_n: f64,
 }
 
 /// The frame of a part of a person.
@@ -177,9 +177,9 @@ impl TruthSink for TruthTopics {
                 let coach: Isometry3<f64> = coach;
                 recorder.pose("/truth/coach", t, &coach);
             }
-            if let Some(PressedLoad { body, hands, table_n, .. }) = sample.pressed {
+            if let Some(PressedLoad { body, hands, borne_n, .. }) = sample.pressed {
                 let (at, force) = (hands.map(|hand| hand.at.into()), hands.map(|hand| hand.force.into()));
-                recorder.json("/truth/pressed", t, &TruePress { body, at, force, table_n })?;
+                recorder.json("/truth/pressed", t, &TruePress { body, at, force, borne_n })?;
             }
             for led in &sample.led {
                 let led = TrueLead { arm: led.arm, force: led.force.into(), torque: led.torque.into() };

@@ -1,15 +1,24 @@
-//! What happens to things and to the robot's hand in a run, by nobody's plan: knocks, pushes, and somebody who takes a thing elsewhere.
+//! What happens to things, to the robot's hand and to its arm in a run, by nobody's plan: knocks, pushes, and somebody who takes a thing elsewhere.
 //!
 //! It computes forces; the physics does with them what follows.
 
 use nalgebra::Vector3;
 
 use crate::physics::{DT, External, Plant};
-use crate::world::{Disturbance, WorldEvent};
+use crate::world::{ARM, Disturbance, WorldEvent};
 
 /// How stiffly somebody holds what he takes elsewhere, 1/s, and how his hand is damped, over the critical one.
 const HOLDS: f64 = 40.0;
 const DAMPED: f64 = 1.0;
+
+/// What a disturbance happens to.
+#[derive(Clone, Copy, Debug)]
+enum Knocked {
+    Hand,
+    Arm,
+    /// A body, by its index.
+    Body(usize),
+}
 
 /// The disturbances of a world, and how far each is.
 #[derive(Debug)]
@@ -20,8 +29,8 @@ pub(crate) struct Accidents {
 #[derive(Debug)]
 struct Accident {
     what: Disturbance,
-    /// The body that it happens to, by its index; none for the hand.
-    body: Option<usize>,
+    /// What it happens to.
+    to: Knocked,
     /// Where that was when somebody took it, and where it was a step ago, root frame, m.
     taken: Option<[Vector3<f64>; 2]>,
 }
@@ -29,8 +38,12 @@ struct Accident {
 impl Accidents {
     /// Those of a world whose bodies have these names.
     pub(crate) fn new(disturbances: &[Disturbance], names: &[String]) -> Self {
-        let body = |what: &Disturbance| names.iter().position(|name| *name == what.knock);
-        let accident = |what: &Disturbance| Accident { body: body(what), what: what.clone(), taken: None };
+        let to = |what: &Disturbance| match names.iter().position(|name| *name == what.knock) {
+            Some(body) => Knocked::Body(body),
+            None if what.knock == ARM => Knocked::Arm,
+            None => Knocked::Hand,
+        };
+        let accident = |what: &Disturbance| Accident { to: to(what), what: what.clone(), taken: None };
         Self { all: disturbances.iter().map(accident).collect() }
     }
 
@@ -49,9 +62,10 @@ impl Accidents {
             if !(0.0..accident.what.duration).contains(&age) {
                 continue;
             }
-            match accident.body {
-                None => external.hand += accident.what.force_at(age),
-                Some(body) => {
+            match accident.to {
+                Knocked::Hand => external.hand += accident.what.force_at(age),
+                Knocked::Arm => external.arm += accident.what.force_at(age),
+                Knocked::Body(body) => {
                     let found = plant.object(body).zip(plant.mass(body));
                     let (at, mass) =
                         found.map_or_else(Default::default, |(pose, mass)| (pose.translation.vector, mass));

@@ -92,6 +92,13 @@ impl RobotSensors {
             sample.wrenches[i] = if broken { *sensor.frozen.get_or_insert(felt) } else { felt };
         }
     }
+
+    /// Turns set points of a platform into where they take it: its wheels follow them, and slip.
+    pub(crate) fn slip(&self, targets: &mut [f64]) {
+        for odometry in &self.odometry {
+            targets[odometry.joint] -= odometry.off;
+        }
+    }
 }
 
 /// The share of an axis in the noise: forces come first, then torques.
@@ -279,6 +286,26 @@ mod tests {
             let off = alike(after as usize) - expected(f64::from(after) * 1e-3);
             assert!(off.abs() < 0.1, "{off} after {after} ms");
         }
+    }
+
+    #[test]
+    fn a_platform_that_goes_to_its_set_point_is_there_by_its_odometry() {
+        let model = Model::shipped("rover2").unwrap();
+        let mut s = sensors(&model, Faults::default());
+        let [along, ..] = model.platform().unwrap().joints;
+        s.odometry[0].slip = 0.02;
+        let mut sample = Sample::resting(&model, vec![0.0; model.joints().len()]);
+        let (mut truth, still) = (vec![0.0; model.joints().len()], vec![0.0; model.joints().len()]);
+        let mut goal = truth.clone();
+        for step in 0..5000_u32 {
+            s.sense(f64::from(step) * 1e-3, &truth, &still, std::iter::empty(), &mut sample);
+            goal.fill(0.0);
+            goal[along] = f64::from(step) * 1e-3;
+            s.slip(&mut goal);
+            truth[along] = goal[along];
+        }
+        assert!((truth[along] - 5.0).abs() > 0.05, "its wheels slip: {} m", truth[along]);
+        assert!((sample.position[along] - 5.0).abs() < 0.005, "{} m", sample.position[along]);
     }
 
     #[test]

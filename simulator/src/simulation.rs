@@ -201,7 +201,7 @@ impl Simulation {
         let object_names: Vec<String> =
             start::bodies(world, plant.table()).into_iter().map(|body| body.spec.name).collect();
         let external =
-            External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); object_names.len()] };
+            External { objects: vec![Vector3::zeros(); object_names.len()], ..External::default() };
         Ok(Self {
             kinematics: Kinematics::new(&model),
             arm: bends(&model, arm),
@@ -324,6 +324,7 @@ impl Simulation {
             targets.position.copy_from_slice(&next.position);
             targets.velocity.copy_from_slice(&next.velocity);
             add(true_targets, &next.position, zeros, -1.0);
+            sensors.slip(true_targets);
         }
         self.apply_external_forces(t);
         self.move_people(t);
@@ -379,7 +380,7 @@ impl Simulation {
             self.hand_gone_at = t;
         }
         self.truth.coach = state;
-        self.external.hand = state.push;
+        (self.external.hand, self.external.arm) = (state.push, Vector3::zeros());
         self.external.objects.fill(Vector3::zeros());
         let (grasped, wiping) = (self.grasped_at, self.wiping_at);
         let begun = |event: WorldEvent| match event {

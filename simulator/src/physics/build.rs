@@ -120,6 +120,8 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
     let handle = physics.insert_body(body.pose(convert::pose(pose)).can_sleep(false));
     let colliders: Vec<ColliderHandle> =
         parts.into_iter().map(|part| physics.insert_collider(part.density(0.0), Some(handle))).collect();
+    // Else its mass is 0 until the first step, and pads that press on it have no damping.
+    physics.bodies[handle].recompute_mass_properties_from_colliders(&physics.colliders);
     let guided = attach(physics, handle, pose, spec);
     let reaction = FoundationReaction::default();
     let cuboid = (spec.shape == BodyShape::Box).then(|| spec.half());

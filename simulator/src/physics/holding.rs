@@ -29,8 +29,8 @@ pub struct PressedLoad {
     pub body: usize,
     /// What both hands do to it; nothing where they do not touch it.
     pub hands: [PressingHand; 2],
-    /// The normal force of the table on it, N.
-    pub table_n: f64,
+    /// The force upwards of what it stands on, the table or a static body, N.
+    pub borne_n: f64,
     /// Whether they grip it by its handles, instead of pressing on its sides.
     pub gripped: bool,
 }
@@ -79,9 +79,25 @@ impl Plant {
         let hands = || Some((self.presses(first)?, self.presses(second)?));
         let grips = || Some((self.grips(first)?, self.grips(second)?));
         let ((body, first), (other, second)) = hands().or_else(grips)?;
-        let table_n = self.contact(body).normal;
+        let borne_n = self.contact(body).normal + self.borne_by_statics(body);
         let gripped = self.objects[body].has_handles;
-        (body == other).then_some(PressedLoad { body, hands: [first, second], table_n, gripped })
+        (body == other).then_some(PressedLoad { body, hands: [first, second], borne_n, gripped })
+    }
+
+    /// The force upwards of static bodies on a body, N.
+    fn borne_by_statics(&self, body: usize) -> f64 {
+        let own = &self.objects[body];
+        let stands = |collider| {
+            let other = self.objects.iter().find(|object| object.colliders.contains(&collider));
+            other.is_some_and(|other| self.physics.bodies[other.handle].is_fixed())
+        };
+        let force = |touch: &Touch| {
+            let [first, second] = touch.colliders;
+            let onto = own.colliders.contains(&second) && stands(first);
+            let from = own.colliders.contains(&first) && stands(second);
+            touch.force.z * (f64::from(u8::from(onto)) - f64::from(u8::from(from)))
+        };
+        self.touches.iter().map(force).sum()
     }
 
     /// The box that is nearest to an arm's pad, and what the pad does to it.

@@ -50,6 +50,8 @@ pub type Targets<'a> = (&'a [f64], &'a [f64]);
 pub struct External {
     /// On the hand of the first robot's arm that works, at the TCP.
     pub hand: Vector3<f64>,
+    /// On its forearm, at its middle: its wrench sensor does not feel that.
+    pub arm: Vector3<f64>,
     /// On each body's middle.
     pub objects: Vec<Vector3<f64>>,
 }
@@ -255,7 +257,7 @@ impl Plant {
     /// Wakes arms that are commanded or touched, and lets those sleep that have rested for long enough.
     fn wake_and_rest(&mut self, targets: &[Targets<'_>], external: &External) {
         for (i, targets) in targets.iter().enumerate().take(self.robots.len()) {
-            let push = if i == 0 { external.hand } else { Vector3::zeros() };
+            let push = if i == 0 { external.hand + external.arm } else { Vector3::zeros() };
             if !self.robots[i].wake_and_rest(*targets, &push, &external.objects) {
                 continue;
             }
@@ -282,6 +284,11 @@ impl Plant {
         let palm = &mut self.physics.bodies[palm];
         if external.hand != Vector3::zeros() {
             palm.add_force_at_point(convert::vector(&external.hand), convert::vector(&tcp), true);
+        }
+        if let Some(forearm) = self.robots[0].forearm() {
+            let forearm = &mut self.physics.bodies[forearm];
+            forearm.reset_forces(false);
+            forearm.add_force(convert::vector(&external.arm), true);
         }
         for (i, object) in self.objects.iter_mut().enumerate() {
             let body = &mut self.physics.bodies[object.handle];

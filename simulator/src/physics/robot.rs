@@ -7,7 +7,7 @@ use std::sync::Arc;
 use armarium_robot::{ForceTorque, Limb, LinkId, Model};
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude as rapier;
-use rapier3d_f64::prelude::ColliderHandle;
+use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
 use super::assembly::Assembly;
 use super::build::{RobotBodies, add_robot};
@@ -150,6 +150,14 @@ impl PlantRobot {
     /// The hand of the arm that works.
     pub(super) fn hand(&self) -> &SimulatedHand {
         &self.arms[self.working].hand
+    }
+
+    /// What the middle one of the joints of the arm that works moves; of an arm that sleeps, nothing.
+    pub(super) fn forearm(&self) -> Option<RigidBodyHandle> {
+        let arm = self.model.arms().nth(self.working)?;
+        let joint = *arm.joints.get(arm.joints.len() / 2)?;
+        let body = self.parts.bodies.iter().find(|body| body.index == joint && body.leads)?;
+        Some(body.handle)
     }
 
     /// What its hands exert on its wrench sensors, in the order of the model's. A sensor of no arm feels nothing.

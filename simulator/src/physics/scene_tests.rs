@@ -24,7 +24,7 @@ impl Room {
         let plant = Plant::new(&world, robots).unwrap();
         let names: Vec<String> =
             start::bodies(&world, plant.table()).into_iter().map(|body| body.spec.name).collect();
-        let external = External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); names.len()] };
+        let external = External { objects: vec![Vector3::zeros(); names.len()], ..External::default() };
         Self { plant, standing, names, external }
     }
 
@@ -45,6 +45,13 @@ impl Room {
 }
 
 const LEVEL: &str = "physics: ideal\ntable: {tilt_deg: [0, 0], bumps: [], friction: 0.4}\nobjects: []\n";
+
+#[test]
+fn a_body_has_its_mass_from_the_start() {
+    let body = "bodies: [{name: crate, size: [0.1, 0.1, 0.1], mass: 1.3 kg, at: [0.2, 0.6]}]";
+    let room = Room::new(&format!("{LEVEL}{body}"));
+    assert!((room.plant.mass(0).unwrap() - 1.3).abs() < 1e-9, "pads are damped by it");
+}
 
 #[test]
 fn a_rigid_box_lies_still_and_slides_by_coulombs_law_when_it_is_pushed() {

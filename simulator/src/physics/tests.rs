@@ -115,13 +115,26 @@ fn a_push_reads_its_force_and_its_torque() {
     hold(&mut plant, 300, &External::default());
     let ForceTorque { force: force_before, torque: torque_before } = plant.wrench(0);
     let push = Vector3::new(6.0, 0.0, 8.0);
-    hold(&mut plant, 500, &External { hand: push, objects: vec![] });
+    hold(&mut plant, 500, &External { hand: push, ..External::default() });
     let ForceTorque { force, torque } = plant.wrench(0);
     let pose = sensor_pose(&model, &plant);
     assert!((pose.rotation * (force - force_before) - push).norm() < 0.01, "{force}");
     let arm = plant.tcp(0).translation.vector - pose.translation.vector;
     let expected = arm.cross(&push);
     assert!((pose.rotation * (torque - torque_before) - expected).norm() < 0.01);
+}
+
+#[test]
+fn a_shove_at_the_forearm_moves_the_hand_and_is_not_felt_as_a_force_on_it() {
+    let model = model();
+    let mut plant = plant_of(&model, &free(), &start(&model));
+    hold(&mut plant, 300, &External::default());
+    let (before, at) = (plant.wrench(0).force, plant.tcp(0).translation.vector);
+    let q = plant.position(0).to_vec();
+    let external = External { arm: Vector3::x() * 40.0, ..External::default() };
+    (0..500).for_each(|_| plant.step(&[(&q, &vec![0.0; q.len()])], &external));
+    assert!((plant.wrench(0).force - before).norm() < 0.5, "{}", plant.wrench(0).force - before);
+    assert!((plant.tcp(0).translation.vector - at).norm() > 1e-4);
 }
 
 #[test]
@@ -232,7 +245,7 @@ fn by_contacts_alone_an_object_creeps_out_of_the_hand() {
 fn opening_drops_and_a_knock_takes_it_out() {
     let (model, mut plant) = with_object_between_pads();
     close(&mut plant, &model, 500, &External::default());
-    let knock = |f: f64| External { hand: Vector3::zeros(), objects: vec![Vector3::z() * -f] };
+    let knock = |f: f64| External { objects: vec![Vector3::z() * -f], ..External::default() };
     close(&mut plant, &model, 100, &knock(50.0));
     assert_eq!(plant.held(0), Some(0));
     close(&mut plant, &model, 100, &knock(110.0));
@@ -406,7 +419,7 @@ fn an_arm_sleeps_with_what_it_holds_and_wakes_when_that_is_knocked() {
     assert!((plant.wrench(0).force.norm() - weight).abs() < 0.02, "{}", plant.wrench(0).force);
     let in_hand = |plant: &Plant| plant.tcp(0).inverse() * plant.object(0).unwrap();
     let before = in_hand(&plant);
-    let knock = |f: f64| External { hand: Vector3::zeros(), objects: vec![Vector3::z() * -f] };
+    let knock = |f: f64| External { objects: vec![Vector3::z() * -f], ..External::default() };
     close(&mut plant, &model, 100, &knock(20.0));
     assert_eq!((plant.held(0), plant.awake()), (Some(0), 1));
     assert!((plant.wrench(0).force.norm() - weight - 20.0).abs() < 0.5, "{}", plant.wrench(0).force);

@@ -10,7 +10,7 @@ use super::Milestone;
 use super::probes::{Probe, figure};
 use super::run::{JudgedRun, ns, seconds};
 use crate::physics::PressedLoad;
-use crate::world::{BodySpec, Disturbance, GRAVITY, WorldEvent};
+use crate::world::{BodySpec, GRAVITY, WorldEvent};
 
 pub(super) const PROBE: Probe = Probe { name: "carrying", measure, asks, section };
 
@@ -79,7 +79,7 @@ struct CarryingFigures {
     /// Largest force of the table while it was put down, as a mean over 10 ms, less its weight, N.
     #[serde(skip_serializing_if = "Option::is_none")]
     put_down_n: Option<f64>,
-    /// How far it moved from the moment in which the table bore it until the hands had let go, m.
+    /// How far it moved along the floor from the moment in which the table bore it until the hands had let go, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     put_down_moved_m: Option<f64>,
 }
@@ -94,10 +94,12 @@ pub(super) fn between<'r>(run: &JudgedRun<'r>, from: u64, to: u64) -> &'r [Press
     &run.log.pressed[from..to.max(from)]
 }
 
-/// While it was carried: from the first time that this began to the last time that it ended, or to the end of the run.
+/// While it was carried: from the first time that this began until it was put down, or to the end of the run.
 fn carried<'r>(run: &JudgedRun<'r>) -> Option<&'r [Pressed]> {
     let from = run.first_time_of(|mark| *mark == Milestone::CarryingStarted)?;
-    let to = run.time_of(|mark| matches!(mark, Milestone::CarryingEnded { .. })).filter(|to| *to > from);
+    let after = |what: fn(&Milestone) -> bool| run.time_of(what).filter(|to| *to > from);
+    let to = after(|mark| *mark == Milestone::PutDownStarted);
+    let to = to.or_else(|| after(|mark| matches!(mark, Milestone::CarryingEnded { .. })));
     Some(between(run, from, to.unwrap_or(run.end_ns())))
 }
 
@@ -132,7 +134,7 @@ fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let lean = |(_, _, pose): &Pressed| (tilt(pose) - stood).abs().to_degrees();
     let way = |pair: &[Pressed]| (pair[1].2.translation.vector - pair[0].2.translation.vector).norm();
     let height = |(_, _, pose): &Pressed| pose.translation.z - start.translation.z;
-    let borne = carried.iter().position(|(_, load, _)| load.table_n == 0.0);
+    let borne = carried.iter().position(|(_, load, _)| load.borne_n == 0.0);
     let upon = Upon::of(run, load.body);
     let mass = body.mass + upon.as_ref().map_or(0.0, |upon| upon.mass);
     let put_down = put_down(run, mass * GRAVITY);
@@ -170,16 +172,17 @@ fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     serde_json::to_value(figures).ok()
 }
 
+/// Whether something is shoved then, or was within the last half second.
+fn shoved(run: &JudgedRun<'_>, at: u64) -> bool {
+    let mut shoves = run.world.disturbances.iter().filter(|what| what.after == WorldEvent::Start);
+    shoves.any(|what| (0.0..what.duration + SHOVED_S).contains(&(seconds(at) - what.at)))
+}
+
 /// RMS of the internal force less the asked one, N, from the end of the first motion, in which the load was weighed, on.
 fn squeeze_rms(run: &JudgedRun<'_>, carried: &[Pressed], mass: f64) -> Option<f64> {
     let weighed = run.first_time_of(|mark| matches!(mark, Milestone::CarryingEnded { .. }))?;
     let asked = (MARGIN * mass * GRAVITY / (2.0 * FRICTION)).min(CRUSHED_N);
-    let shoved = |at: u64| {
-        let shoves = run.world.disturbances.iter().filter(|what| what.after == WorldEvent::Start);
-        let since = |what: &Disturbance| seconds(at) - what.at;
-        shoves.into_iter().any(|what| (0.0..what.duration + SHOVED_S).contains(&since(what)))
-    };
-    let held = carried.iter().filter(|(at, ..)| *at > weighed + ns(SHOVED_S) && !shoved(*at));
+    let held = carried.iter().filter(|(at, ..)| *at > weighed + ns(SHOVED_S) && !shoved(run, *at));
     let squares: Vec<f64> = held.map(|(_, load, _)| (internal_force(load) - asked).powi(2)).collect();
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
@@ -240,17 +243,18 @@ struct Stood {
     moved_m: f64,
 }
 
-/// The largest force of the table less the weight, N, and how far the load moved from when the table bore it, m.
+/// The largest force of the table less the weight, N, and how far the load moved along the floor from when the table bore it, m.
 fn put_down(run: &JudgedRun<'_>, weight: f64) -> Option<(f64, f64)> {
     let from = run.time_of(|mark| *mark == Milestone::PutDownStarted)?;
     let to = run.time_of(|mark| *mark == Milestone::PutDownEnded).filter(|to| *to > from)?;
     let lowered = between(run, from, to);
     let mean =
-        |window: &[Pressed]| window.iter().map(|(_, load, _)| load.table_n).sum::<f64>() / WINDOW as f64;
-    let most = lowered.windows(WINDOW).map(mean).fold(0.0, f64::max);
-    let (_, _, first) = lowered.iter().find(|(_, load, _)| load.table_n > 0.5 * weight)?;
+        |window: &[Pressed]| window.iter().map(|(_, load, _)| load.borne_n).sum::<f64>() / WINDOW as f64;
+    let undisturbed = lowered.windows(WINDOW).filter(|window| !shoved(run, window[0].0));
+    let most = undisturbed.map(mean).fold(0.0, f64::max);
+    let (_, _, first) = lowered.iter().find(|(_, load, _)| load.borne_n > 0.5 * weight)?;
     let (_, _, last) = lowered.last()?;
-    Some((most - weight, (last.translation.vector - first.translation.vector).norm()))
+    Some((most - weight, (last.translation.vector - first.translation.vector).xy().norm()))
 }
 
 fn asks(own: &Value) -> Vec<Figure> {
@@ -353,10 +357,10 @@ mod tests {
                 force: Vector3::new(-25.0 * x, 0.0, if t < 3.0 { 9.81 } else { 0.0 }),
                 slipping: 0,
             };
-            let table_n = if t < 3.5 { 0.0 } else { 2.0 * GRAVITY + extra };
+            let borne_n = if t < 3.5 { 0.0 } else { 2.0 * GRAVITY + extra };
             log.pressed.push((
                 ms * 1_000_000,
-                PressedLoad { body: 0, hands: [hand(1.0), hand(-1.0)], table_n, gripped: false },
+                PressedLoad { body: 0, hands: [hand(1.0), hand(-1.0)], borne_n, gripped: false },
                 pose,
             ));
         }
@@ -451,7 +455,7 @@ mod tests {
         assert!(rms(&world) > 5.0, "{}", rms(&world));
         let start = WorldEvent::Start;
         world.disturbances =
-            vec![Disturbance { after: start, at: 2.0, duration: 0.2, ..Disturbance::default() }];
+            vec![crate::world::Disturbance { after: start, at: 2.0, duration: 0.2, ..Default::default() }];
         // 25 N, and 1.5 * 19.62 N / (2 * 0.6) are asked.
         assert!((rms(&world) - 0.475).abs() < 1e-3, "{}", rms(&world));
     }

@@ -246,7 +246,7 @@ mod tests {
                 let pose = Isometry3::translation(0.0, 0.5, 1.0 + higher / 2.0);
                 log.pressed.push((
                     ms * 1_000_000,
-                    PressedLoad { body: 0, hands, table_n: 0.0, gripped: false },
+                    PressedLoad { body: 0, hands, borne_n: 0.0, gripped: false },
                     pose,
                 ));
             }

@@ -4,6 +4,9 @@ use armarium_source::{Rule, choice, form};
 use nalgebra::Vector3;
 use serde::Serialize;
 
+/// What a disturbance names that shoves the forearm of the arm that works.
+pub const ARM: &str = "arm";
+
 form! {
     /// Sensors that are broken from a time on.
     pub struct Faults: "`faults`" {
@@ -57,13 +60,13 @@ pub enum WrenchFault {
 choice!(WrenchFault { "none" => Self::None, "frozen" => Self::Frozen });
 
 form! {
-    /// An accident: a force on an object or on the robot's hand.
+    /// An accident: a force on an object, or on the hand or the forearm of the arm that works.
     pub struct Disturbance: "a disturbance" {
         /// What the time counts from.
         pub after: WorldEvent = WorldEvent::Wiping;
         /// When, s after that.
         pub at: f64 = 1.0, Rule::number("s", 0.0, 3600.0);
-        /// Name of an object, or `hand`.
+        /// Name of an object, `hand` or `arm`.
         pub knock: String = "sponge".into(), Rule::NAME;
         /// Force at its centre, N.
         pub force: [f64; 3] = [90.0, 0.0, 0.0], Rule::number("N", -1000.0, 1000.0);
