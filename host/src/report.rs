@@ -71,10 +71,23 @@ pub(crate) fn figures(case: &ReportedRun<'_>) -> Json {
 /// `force = 8.0, long = 60.0`, cut where it is long.
 fn listed(values: &BTreeMap<String, Value>) -> String {
     let one = |(name, value): (&String, &Value)| {
-        let text: String = value.to_json().to_string().chars().take(60).collect();
+        let text: String = rounded(value.to_json()).to_string().chars().take(60).collect();
         format!("{name} = {text}")
     };
     values.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+/// A value with numbers of four significant digits, for people: `report.json` has all of them.
+fn rounded(value: Json) -> Json {
+    match value {
+        Json::Number(number) if number.is_f64() => {
+            let short = number.as_f64().and_then(|number| format!("{number:.3e}").parse::<f64>().ok());
+            short.map_or(Json::Number(number), Json::from)
+        }
+        Json::Array(values) => values.into_iter().map(rounded).collect(),
+        Json::Object(values) => values.into_iter().map(|(key, value)| (key, rounded(value))).collect(),
+        other => other,
+    }
 }
 
 fn values(values: &BTreeMap<String, Value>) -> Json {
@@ -207,5 +220,20 @@ impl JointLog {
             }
         };
         self.positions.iter().map(plot).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inputs_and_outputs_are_shown_with_four_digits() {
+        let values = BTreeMap::from([
+            ("turn".to_owned(), Value::Float(-0.785_412_345)),
+            ("way".to_owned(), Value::from(vec![2.0, 1e-7 / 3.0])),
+            ("times".to_owned(), Value::Int(123_456)),
+        ]);
+        assert_eq!(listed(&values), "times = 123456, turn = -0.7854, way = [2.0,3.333e-8]");
     }
 }

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use armarium_motion::{
     HandOnLoad, Holding, LinePoint, LoadStatus, SharedLoad, SharedLoadConfig, SharedLoadStep,
 };
-use armarium_robot::{Limb, Model, Sensed, Twist};
+use armarium_robot::{Limb, Model, Platform, Sensed, Twist};
 use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Vector3, Vector6};
 
 use crate::arm::{LeasedArm, tcp_of};
 use crate::equipment::Equipment;
+use crate::follow::FollowingPlatform;
 use crate::grasp::hand;
 use crate::hand::aperture;
 use crate::motions::failed;
@@ -21,6 +22,18 @@ use crate::torso::{TurningTorso, helps_both};
 const SQUEEZE: &str = "squeeze";
 const FRICTION: &str = "friction";
 const HOLD: &str = "hold";
+pub(crate) const STIFFNESS: &str = "stiffness";
+/// Where it is known how stiff the contacts are, the squeeze settles with this rate, 1/s: drives are faster.
+const SETTLES: f64 = 35.0;
+/// Then it rises at this rate where a hand would slip without more, N/s.
+const RISES: f64 = 1500.0;
+/// And the hands close with at most this speed, m/s.
+const CLOSES: f64 = 0.15;
+/// The input that says what moves with both arms, and its values.
+const MOVES: &str = "moves";
+const ARMS: &str = "arms";
+const TORSO: &str = "torso";
+const PLATFORM: &str = "platform";
 /// What a hand grips is gone when its pads have come nearer to each other by this, m.
 const CLOSED: f64 = 0.008;
 /// A hand that is further than this from where it should be has not arrived, m.
@@ -47,10 +60,20 @@ pub(crate) fn moves_both(manifest: SkillManifest, equipment: &Equipment) -> Skil
     arms.fold(manifest, |manifest, arm| manifest.limb(&arm.name))
 }
 
-/// Says that a skill commands what helps both arms, too.
-pub(crate) fn turns_torso(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
-    let Ok(both) = arms(equipment.robot.model()) else { return manifest };
-    helps_both(both).fold(manifest, |manifest, limb| manifest.limb(limb))
+/// Adds the input that says what moves with both arms.
+pub(crate) fn moves_with(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    let what = "What moves with the arms, where the robot has it: the `torso` turns, or the `platform` drives and turns, so that the \
+                load stays before the robot.";
+    let mut manifest = manifest.optional(MOVES, Type::one_of([ARMS, TORSO, PLATFORM]), ARMS, what);
+    let model = equipment.robot.model();
+    if let Ok(both) = arms(model) {
+        manifest =
+            helps_both(both).fold(manifest, |manifest, limb| manifest.limb_by_input(MOVES, TORSO, limb));
+    }
+    match model.platform() {
+        Some(_) => manifest.limb_by_input(MOVES, PLATFORM, Platform::LIMB),
+        None => manifest,
+    }
 }
 
 /// Adds the inputs that say how a load is held.
@@ -68,7 +91,13 @@ pub(crate) fn squeezes(manifest: SkillManifest) -> SkillManifest {
 /// Adds the inputs that say how a load is held, by pressing or by grips.
 pub(crate) fn holds(manifest: SkillManifest) -> SkillManifest {
     let what = "How the hands hold it: `press` from two sides, or `grip`, each a handle, without a squeeze.";
-    squeezes(manifest).optional(HOLD, Type::one_of(["press", "grip"]), "press", what)
+    let stiff = "How stiff the contacts of hands that press are, as `SqueezeTogether` feels it: then the squeeze rises within a shove. 0: unknown.";
+    squeezes(manifest).optional(STIFFNESS, Type::quantity(Unit::N_M), 0.0, stiff).optional(
+        HOLD,
+        Type::one_of(["press", "grip"]),
+        "press",
+        what,
+    )
 }
 
 /// How the hands hold the load.
@@ -93,6 +122,19 @@ pub(crate) fn config(equipment: &Equipment, context: &SkillContext) -> Result<Sh
     Ok(SharedLoadConfig { squeeze, most_squeeze, friction, ..SharedLoadConfig::default() })
 }
 
+/// The same for a load that the hands hold already: the squeeze is quick where it is known how stiff the contacts are.
+pub(crate) fn config_held(
+    equipment: &Equipment,
+    context: &SkillContext,
+) -> Result<SharedLoadConfig, Failure> {
+    let config = config(equipment, context)?;
+    let stiffness = context.number(STIFFNESS)?;
+    if stiffness <= 0.0 {
+        return Ok(config);
+    }
+    Ok(SharedLoadConfig { gain: SETTLES / stiffness, slip_rate: RISES, fastest: CLOSES, ..config })
+}
+
 /// Both arms with their leases.
 pub(crate) struct BothArms {
     arms: [LeasedArm; 2],
@@ -100,6 +142,7 @@ pub(crate) struct BothArms {
     faces: [Isometry3<f64>; 2],
     holding: Holding,
     torso: Option<TurningTorso>,
+    platform: Option<FollowingPlatform>,
     /// How far a hand was from where it should be in the last step, m.
     off: f64,
     /// The joints of both hands, and the distance of their pads when they were taken, m.
@@ -149,14 +192,30 @@ impl BothArms {
             let apart = aperture(&joints, &sample);
             (joints, apart)
         });
-        Ok(Self { arms, faces, holding, torso: None, off: 0.0, hands })
+        Ok(Self { arms, faces, holding, torso: None, platform: None, off: 0.0, hands })
     }
 
-    /// From now on the torso turns after the hands, if one helps both and nobody else commands it.
-    pub(crate) fn turn_torso(&mut self, equipment: &Equipment, context: &SkillContext, sample: &Sensed) {
-        let hands = [0, 1].map(|i| self.arms[i].tcp(sample));
-        let limbs = [&self.arms[0].limb, &self.arms[1].limb];
-        self.torso = TurningTorso::take(equipment, context, limbs, (sample, &hands));
+    /// From now on what the input says moves with the hands, if the robot has it and nobody else commands it. What they hold is at
+    /// `root_from_load`.
+    pub(crate) fn move_with(
+        &mut self,
+        equipment: &Equipment,
+        context: &SkillContext,
+        sample: &Sensed,
+        root_from_load: &Isometry3<f64>,
+    ) -> Result<(), Failure> {
+        match context.text(MOVES)? {
+            TORSO => {
+                let hands = [0, 1].map(|i| self.arms[i].tcp(sample));
+                let limbs = [&self.arms[0].limb, &self.arms[1].limb];
+                self.torso = TurningTorso::take(equipment, context, limbs, (sample, &hands));
+            }
+            PLATFORM => {
+                self.platform = FollowingPlatform::under_load(equipment, context, sample, root_from_load);
+            }
+            _ => {}
+        }
+        Ok(())
     }
 
     /// Takes what they hold over where it is.
@@ -179,6 +238,9 @@ impl BothArms {
         }
         if let Some(torso) = &mut self.torso {
             torso.follow((sample, dt), &[0, 1].map(|i| self.arms[i].tcp(sample)))?;
+        }
+        if let Some(platform) = &mut self.platform {
+            platform.follow(dt, sample, load)?;
         }
         self.off = self.track(sample, &step.hands)?;
         Ok(Some(step))
@@ -223,8 +285,10 @@ impl BothArms {
     pub(crate) fn track(&mut self, sample: &Sensed, targets: &[LinePoint; 2]) -> Result<f64, Failure> {
         let mut farthest = 0.0_f64;
         for (arm, target) in self.arms.iter_mut().zip(targets) {
-            let carried = self.torso.as_ref().zip(arm.limb.tcp).map(|(torso, tcp)| torso.carries(tcp));
-            let Twist { linear, angular } = carried.unwrap_or_default();
+            let by_torso = self.torso.as_ref().zip(arm.limb.tcp).map(|(torso, tcp)| torso.carries(tcp));
+            let at = arm.tcp(sample).translation.vector;
+            let by_platform = self.platform.as_ref().map(|platform| platform.carries(sample, &at));
+            let Twist { linear, angular } = by_torso.or(by_platform).unwrap_or_default();
             let off = arm.track(sample, &target.pose, target.linear - linear, target.angular - angular)?;
             farthest = farthest.max(off);
         }

@@ -46,9 +46,8 @@ fn carried(chart: &str, seed: u64, edit: impl Fn(String) -> String) -> RunEnded 
     ended(RunConfig { world: Some(world), seed, ..RunConfig::new(charts.join(chart)) })
 }
 
-#[test]
-fn a_box_is_carried_between_both_hands_and_put_down() {
-    let ended = carried("carry_box.yaml", 1, |world| world);
+/// Asks what is asked of a box that is carried between both hands.
+fn is_carried_well(ended: &RunEnded) {
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let own = &ended.report["carrying"];
     let figure = |key: &str| own[key].as_f64().unwrap();
@@ -57,6 +56,20 @@ fn a_box_is_carried_between_both_hands_and_put_down() {
     assert!(figure("tilt_deg") < 3.0 && figure("slipped_m") < 0.005, "{own}");
     // They press as its weight asks, and what they feel is the box.
     assert!(figure("squeeze_rms_n") < 3.0 && figure("mass_error").abs() < 0.05, "{own}");
+    assert!(figure("put_down_n") < 15.0 && figure("put_down_moved_m") < 0.005, "{own}");
+}
+
+#[test]
+fn a_box_is_carried_between_both_hands_and_put_down_though_it_and_an_arm_are_shoved() {
+    let shoved = include_str!("../../statecharts/carry_box_shoved.world.yaml");
+    is_carried_well(&carried("carry_box.yaml", 1, |_| shoved.to_owned()));
+}
+
+#[test]
+fn a_box_is_driven_to_another_table_and_put_down_there() {
+    let ended = carried("carry_far.yaml", 1, |world| world);
+    is_carried_well(&ended);
+    assert!(ended.report["carrying"]["way_m"].as_f64().unwrap() > 2.5, "{}", ended.report["carrying"]);
 }
 
 #[test]

@@ -23,7 +23,7 @@ use crate::straight_line::LinePoint;
 const LEAST_APART: f64 = 0.01;
 
 /// How much more a hand presses than with what it carries along the load's side over the friction, where both share the load unequally.
-const FIRM: f64 = 1.15;
+const FIRM: f64 = 1.25;
 
 constants! {
     /// The constants of a [`SharedLoad`].
@@ -37,9 +37,14 @@ constants! {
         /// How many times half of the load over that friction the hands press.
         margin: f64 = 1.5, 1.0..=10.0;
         /// A load that would slip in the largest squeeze, without the margin, for this long is about to be lost, s.
-        slips_after: f64 = 0.3, 0.0..=60.0;
+        slips_after: f64 = 0.2, 0.0..=60.0;
+        /// Time constant with which the load is weighed, s: one that swings on its contacts weighs more and less in turns, and a
+        /// squeeze that followed would keep it swinging.
+        weighing_time: f64 = 0.5, POSITIVE;
         /// How fast the wanted squeeze changes, N/s.
         squeeze_rate: f64 = 80.0, POSITIVE;
+        /// And how fast it rises where a hand would slip without more, N/s.
+        slip_rate: f64 = 80.0, POSITIVE;
         /// Closing speed of each hand for a missing newton, m/s/N. With contacts of the stiffness K, the squeeze settles with the
         /// rate K times this; it has to be slower than the drives.
         gain: f64 = 7e-4, GAIN;
@@ -177,6 +182,8 @@ pub struct SharedLoad {
     contacts: [Point3<f64>; 2],
     /// How far the first hand has gone beyond that, and the second one the other way: m and rad, load's frame.
     beyond: [Vector3<f64>; 2],
+    /// What both carry, N.
+    carried: f64,
     wanted: f64,
     unpressed: f64,
     /// For how long the largest squeeze has been too little, s.
@@ -210,6 +217,7 @@ impl SharedLoad {
                 Holding::Pressing => forces.squeeze.clamp(0.0, config.most_squeeze),
                 Holding::Gripping => 0.0,
             },
+            carried: forces.external.norm(),
             config,
             holding,
             load_from_tcp: hands.each_ref().map(|hand| taken.inverse() * hand.tcp),
@@ -259,6 +267,7 @@ impl SharedLoad {
         sample_time(dt)?;
         let forces = LoadForces::of(hands)?;
         let c = &self.config;
+        self.carried += (forces.external.norm() - self.carried) * (dt / (dt + c.weighing_time));
         let load_from_root = loads[0].pose.rotation.inverse();
         // With less than this a hand slips.
         let least = forces.hands.iter().map(|(_, along)| along / c.friction).fold(0.0, f64::max);
@@ -266,15 +275,23 @@ impl SharedLoad {
         let (line, needed) = match self.holding {
             Holding::Pressing => {
                 // Half of the load with the margin, and what each hand really carries with a small one.
-                let shared = c.margin * forces.external.norm() / (2.0 * c.friction);
-                let needed = c.squeeze.max(shared).max(FIRM * least).min(c.most_squeeze);
+                let shared = c.margin * self.carried / (2.0 * c.friction);
+                // What is shoved from one hand towards the other presses less on the first one.
+                let firm = forces
+                    .hands
+                    .iter()
+                    .map(|(across, along)| FIRM * along / c.friction + forces.squeeze - across);
+                let needed =
+                    [c.squeeze.max(shared), firm.fold(0.0, f64::max)].map(|force| force.min(c.most_squeeze));
                 (load_from_root * forces.line.into_inner(), needed)
             }
-            Holding::Gripping => (Vector3::zeros(), 0.0),
+            Holding::Gripping => (Vector3::zeros(), [0.0; 2]),
         };
         let too_little = self.holding == Holding::Pressing && least > c.most_squeeze;
         self.slips = if too_little { self.slips + dt } else { 0.0 };
-        self.wanted += (needed - self.wanted).clamp(-c.squeeze_rate * dt, c.squeeze_rate * dt);
+        let fastest = if needed[1] > self.wanted { c.slip_rate } else { c.squeeze_rate };
+        let missing = needed[0].max(needed[1]) - self.wanted;
+        self.wanted += missing.clamp(-c.squeeze_rate * dt, fastest * dt);
         let closing = (c.gain * (self.wanted - forces.squeeze)).clamp(-c.fastest, c.fastest);
         let along_sides = load_from_root * forces.internal - line * forces.squeeze;
         let along = self.beyond[0] - line * self.beyond[0].dot(&line);

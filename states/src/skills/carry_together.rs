@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, config, holding, holds, moves_both, turns_torso};
+use crate::both::{BothArms, config_held, holding, holds, moves_both, moves_with};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::motions::failed;
@@ -24,7 +24,6 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     )
     .input("by", Type::list(Type::FLOAT), "How far: x, y, z in the root frame, m.")
     .optional("turn", Type::quantity(Unit::RAD), 0.0, "How far it is turned about the vertical.")
-    .optional("torso", Type::Bool, false, "Whether the torso turns with the load, so that it stays before it.")
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.");
     let manifest = holds(manifest)
         .output("force", Type::quantity(Unit::N), "With what the hands press against each other at the end.")
@@ -33,7 +32,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         .outcome(SLIPS)
         .mark(Mark::at_start("carrying_started"))
         .mark(Mark::at_success("carrying_ended").with_output("weight_n", "weight"));
-    let manifest = turns_torso(moves_both(manifest, equipment), equipment);
+    let manifest = moves_with(moves_both(manifest, equipment), equipment);
     equipment::skill(equipment, manifest, run)
 }
 
@@ -42,11 +41,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
     let mut both = BothArms::take(&equipment, &context, &[by], holding(&context)?).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    if context.flag("torso")? {
-        both.turn_torso(&equipment, &context, &senses.newest());
-    }
-    let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
+    let mut law = both.take_load(&senses.newest(), config_held(&equipment, &context)?)?;
     let from = *law.taken();
+    both.move_with(&equipment, &context, &senses.newest(), &from)?;
     let to = Isometry3::from_parts(Translation3::from(from.translation.vector + by), turn * from.rotation);
     let mut line = StraightLine::new(from, to, context.number("speed")?).map_err(failed)?;
     let (mut weight, mut rested, mut force) = (0.0, 0.0, 0.0);

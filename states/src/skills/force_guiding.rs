@@ -8,6 +8,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Vector3, Vector6};
 
 use crate::arm::{LeasedArm, Senses, chosen, moves_the_arm};
+use crate::both::at_rest;
 use crate::equipment::{self, Equipment};
 use crate::follow::FollowingPlatform;
 use crate::inputs::reference;
@@ -59,7 +60,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut platform = match alone {
         true => None,
-        false => FollowingPlatform::take(&equipment, &context, &arm.limb, &senses.newest())?,
+        false => FollowingPlatform::after_hand(&equipment, &context, &arm.limb, &senses.newest())?,
     };
     let mut law = Admittance::new(config(&equipment, &context)).map_err(failed)?;
     let mut led = Led::default();
@@ -80,7 +81,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             GuidingStatus::Led => {
                 let [linear, angular] = [0, 3].map(|row| step.twist.fixed_rows::<3>(row).into_owned());
                 let carried = match &mut platform {
-                    Some(platform) => platform.follow(dt, &sample, &pose)?,
+                    Some(platform) => {
+                        platform.follow(dt, &sample, &at_rest(pose))?;
+                        platform.carries(&sample, &pose.translation.vector).linear
+                    }
                     None => Vector3::zeros(),
                 };
                 let mut possible = arm.twist(&sample, linear - carried, angular)?;

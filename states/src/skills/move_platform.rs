@@ -5,10 +5,11 @@ use std::sync::Arc;
 use armarium_robot::{Lease, Model, Platform, PlatformKind, Sensed};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Vector2, Vector3};
 
 use crate::arm::{Senses, lease};
 use crate::equipment::{self, Equipment};
+use crate::follow::turn_between;
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 
@@ -109,11 +110,6 @@ fn error(here: &Isometry3<f64>, goal: &Isometry3<f64>) -> (Vector2<f64>, f64) {
     (way.xy(), turn_between(&here.rotation, &goal.rotation))
 }
 
-fn turn_between(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> f64 {
-    let x = from.inverse() * (to * Vector3::x());
-    libm::atan2(x.y, x.x)
-}
-
 struct Drive {
     lease: Lease,
     speed: f64,
@@ -150,17 +146,5 @@ impl Drive {
             }
         };
         self.lease.command(&[velocity.x, velocity.y, turning]).map_err(failed)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_turn_is_the_shortest_one_to_the_left() {
-        let yaw = |angle: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
-        assert!((turn_between(&yaw(3.0), &yaw(-3.0)) - (std::f64::consts::TAU - 6.0)).abs() < 1e-9);
-        assert!((turn_between(&yaw(0.4), &yaw(0.1)) + 0.3).abs() < 1e-9);
     }
 }

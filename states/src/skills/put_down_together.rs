@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Translation3, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, at_rest, config, holding, holds, moves_both};
+use crate::both::{BothArms, at_rest, config_held, holding, holds, moves_both};
 use crate::equipment::{self, Equipment};
 use crate::motions::failed;
 
@@ -17,7 +17,7 @@ const WEIGHING: f64 = 0.3;
 /// A load that is lighter than this cannot be felt to be put down, N.
 const FELT: f64 = 2.0;
 /// What bears the load when the hands carry less than this share of it, for so long, s.
-const BORNE: (f64, f64) = (0.15, 0.02);
+const BORNE: (f64, f64) = (0.03, 0.02);
 /// Largest speed on the way to where the load is expected to be borne, m/s, and how far before that it ends, m.
 const LOWERING: f64 = 0.1;
 const BEFORE: f64 = 0.02;
@@ -57,7 +57,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (down, holding) = (Vector3::z() * -farthest, holding(&context)?);
     let mut both = BothArms::take(&equipment, &context, &[down], holding).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut law = both.take_load(&senses.newest(), config(&equipment, &context)?)?;
+    let mut law = both.take_load(&senses.newest(), config_held(&equipment, &context)?)?;
     let above = (context.number("expected")?.min(farthest) - BEFORE).max(0.0);
     let low = Translation3::from(Vector3::z() * -above) * law.taken();
     let mut line = StraightLine::new(*law.taken(), low, LOWERING).map_err(failed)?;

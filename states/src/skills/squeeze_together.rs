@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit as UnitVector, UnitQuaternion, Vector3};
 
 use crate::arm::Senses;
-use crate::both::{BothArms, at_rest, config, moves_both, squeezes};
+use crate::both::{BothArms, STIFFNESS, at_rest, config, moves_both, squeezes};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::motions::failed;
@@ -24,6 +24,11 @@ const TOUCHES: (f64, f64) = (2.5, 0.01);
 const NEAR: f64 = 0.01;
 /// The squeeze is right within this share, for so long, s; it takes no longer than that, s.
 const SQUEEZED: (f64, f64, f64) = (0.1, 0.3, 15.0);
+/// How stiff the contacts are is measured from this share of the squeeze on: before, a face does not lie flat yet. A force of less than
+/// this tells nothing of it, N, and a way of less than this is not told from none, m.
+const FROM: f64 = 0.4;
+const RISE: f64 = 3.0;
+const RESOLVED: f64 = 2e-4;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -33,6 +38,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     .input("object", Type::object(), "The object in memory; a box.");
     let manifest = squeezes(manifest)
         .output("force", Type::quantity(Unit::N), "With what the hands press against each other.")
+        .output(STIFFNESS, Type::quantity(Unit::N_M), "How stiff the contacts are: by how much more the hands press for a metre by which each comes nearer; 0 where they hardly pressed more.")
         .mark(Mark::at_success("load_taken"));
     equipment::skill(equipment, moves_both(manifest, equipment), run)
 }
@@ -45,8 +51,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let sides = sides(&object, &class.size.into(), &both.faces(&senses.newest()));
     go_beside(&mut both, &mut senses, &sides).await?;
     touch(&mut both, &mut senses, &sides).await?;
-    let force = squeeze(&mut both, &mut senses, config).await?;
-    Ok(Outcome::success().with("force", force))
+    let (force, stiffness) = squeeze(&mut both, &mut senses, config).await?;
+    Ok(Outcome::success().with("force", force).with(STIFFNESS, stiffness))
 }
 
 /// The faces of both hands on two opposite sides of a box: those across which the hands are.
@@ -141,23 +147,36 @@ async fn touch(both: &mut BothArms, senses: &mut Senses, sides: &[Isometry3<f64>
     Ok(())
 }
 
-/// Squeezes until that is right and steady; returns the force, N.
-async fn squeeze(both: &mut BothArms, senses: &mut Senses, config: SharedLoadConfig) -> Result<f64, Failure> {
+/// Squeezes until that is right and steady; returns the force, N, and how stiff the contacts are, N/m, or 0 where that is not known.
+async fn squeeze(
+    both: &mut BothArms,
+    senses: &mut Senses,
+    config: SharedLoadConfig,
+) -> Result<(f64, f64), Failure> {
     let least = config.squeeze;
     let mut law = SharedLoad::new(config, &both.on_load(&senses.newest())?).map_err(failed)?;
     let rest = at_rest(*law.taken());
     let (mut right, mut waited) = (0.0, 0.0);
     let (near, long, longest) = SQUEEZED;
+    let mut half = None;
     loop {
         let (sample, dt) = senses.next().await?;
-        let step = law.step(dt, &both.on_load(&sample)?, &rest).map_err(failed)?;
+        let hands = both.on_load(&sample)?;
+        let apart = (hands[1].contact - hands[0].contact).norm();
+        let step = law.step(dt, &hands, &rest).map_err(failed)?;
         both.track(&sample, &step.hands)?;
         let squeeze = step.forces.squeeze;
+        if squeeze > least * FROM {
+            half.get_or_insert((squeeze, apart));
+        }
         let is_right = step.wanted >= least && (squeeze - step.wanted).abs() < near * step.wanted;
         right = if is_right { right + dt } else { 0.0 };
         waited += dt;
         if right > long && step.status == LoadStatus::Held {
-            return Ok(squeeze);
+            let (before, was_apart) = half.unwrap_or((squeeze, apart));
+            let closed = ((was_apart - apart) / 2.0).max(RESOLVED);
+            let rise = squeeze - before;
+            return Ok((squeeze, if rise > RISE { rise / closed } else { 0.0 }));
         }
         if waited > longest {
             return Err(Failure::new(format!(
