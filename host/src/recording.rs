@@ -130,7 +130,7 @@ struct TruePress {
     /// Where each hand presses, m, and its force on the body, N, root frame.
     at: [[f64; 3]; 2],
     force: [[f64; 3]; 2],
-    /// The normal force of the table on it, N.
+    /// The force upwards of what it stands on, the table or a static body, N.
     borne_n: f64,
 }
 

@@ -12,10 +12,10 @@ use nalgebra::{Isometry3, Vector3, Vector6};
 
 use crate::arm::{LeasedArm, tcp_of};
 use crate::equipment::Equipment;
-use crate::follow::FollowingPlatform;
 use crate::grasp::hand;
 use crate::hand::aperture;
 use crate::motions::failed;
+use crate::platform::FollowingPlatform;
 use crate::torso::{TurningTorso, helps_both};
 
 /// The inputs that say how a load is held.
@@ -135,14 +135,29 @@ pub(crate) fn config_held(
     Ok(SharedLoadConfig { gain: SETTLES / stiffness, slip_rate: RISES, fastest: CLOSES, ..config })
 }
 
+/// What moves with both arms, so that what they hold stays before the robot.
+enum Helper {
+    Torso(TurningTorso),
+    Platform(FollowingPlatform),
+}
+
+impl Helper {
+    /// The twist with which it carries the TCP of an arm, root frame, m/s and rad/s.
+    fn carries(&self, arm: &LeasedArm, sample: &Sensed) -> Twist {
+        match self {
+            Self::Torso(torso) => arm.limb.tcp.map(|tcp| torso.carries(tcp)).unwrap_or_default(),
+            Self::Platform(platform) => platform.carries(sample, &arm.tcp(sample).translation.vector),
+        }
+    }
+}
+
 /// Both arms with their leases.
 pub(crate) struct BothArms {
     arms: [LeasedArm; 2],
     /// `tcp_from_face`: the faces with which they press, x out of them; or the middles of their grips.
     faces: [Isometry3<f64>; 2],
     holding: Holding,
-    torso: Option<TurningTorso>,
-    platform: Option<FollowingPlatform>,
+    helper: Option<Helper>,
     /// How far a hand was from where it should be in the last step, m.
     off: f64,
     /// The joints of both hands, and the distance of their pads when they were taken, m.
@@ -192,7 +207,7 @@ impl BothArms {
             let apart = aperture(&joints, &sample);
             (joints, apart)
         });
-        Ok(Self { arms, faces, holding, torso: None, platform: None, off: 0.0, hands })
+        Ok(Self { arms, faces, holding, helper: None, off: 0.0, hands })
     }
 
     /// From now on what the input says moves with the hands, if the robot has it and nobody else commands it. What they hold is at
@@ -204,17 +219,16 @@ impl BothArms {
         sample: &Sensed,
         root_from_load: &Isometry3<f64>,
     ) -> Result<(), Failure> {
-        match context.text(MOVES)? {
+        self.helper = match context.text(MOVES)? {
             TORSO => {
                 let hands = [0, 1].map(|i| self.arms[i].tcp(sample));
                 let limbs = [&self.arms[0].limb, &self.arms[1].limb];
-                self.torso = TurningTorso::take(equipment, context, limbs, (sample, &hands));
+                TurningTorso::take(equipment, context, limbs, (sample, &hands)).map(Helper::Torso)
             }
-            PLATFORM => {
-                self.platform = FollowingPlatform::under_load(equipment, context, sample, root_from_load);
-            }
-            _ => {}
-        }
+            PLATFORM => FollowingPlatform::under_load(equipment, context, sample, root_from_load)
+                .map(Helper::Platform),
+            _ => None,
+        };
         Ok(())
     }
 
@@ -236,11 +250,12 @@ impl BothArms {
         if let_go || step.status == LoadStatus::Lost {
             return Ok(None);
         }
-        if let Some(torso) = &mut self.torso {
-            torso.follow((sample, dt), &[0, 1].map(|i| self.arms[i].tcp(sample)))?;
-        }
-        if let Some(platform) = &mut self.platform {
-            platform.follow(dt, sample, load)?;
+        match &mut self.helper {
+            Some(Helper::Torso(torso)) => {
+                torso.follow((sample, dt), &[0, 1].map(|i| self.arms[i].tcp(sample)))?;
+            }
+            Some(Helper::Platform(platform)) => platform.follow(dt, sample, load)?,
+            None => {}
         }
         self.off = self.track(sample, &step.hands)?;
         Ok(Some(step))
@@ -285,10 +300,8 @@ impl BothArms {
     pub(crate) fn track(&mut self, sample: &Sensed, targets: &[LinePoint; 2]) -> Result<f64, Failure> {
         let mut farthest = 0.0_f64;
         for (arm, target) in self.arms.iter_mut().zip(targets) {
-            let by_torso = self.torso.as_ref().zip(arm.limb.tcp).map(|(torso, tcp)| torso.carries(tcp));
-            let at = arm.tcp(sample).translation.vector;
-            let by_platform = self.platform.as_ref().map(|platform| platform.carries(sample, &at));
-            let Twist { linear, angular } = by_torso.or(by_platform).unwrap_or_default();
+            let carried = self.helper.as_ref().map(|helper| helper.carries(arm, sample));
+            let Twist { linear, angular } = carried.unwrap_or_default();
             let off = arm.track(sample, &target.pose, target.linear - linear, target.angular - angular)?;
             farthest = farthest.max(off);
         }

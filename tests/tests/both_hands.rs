@@ -61,8 +61,9 @@ fn is_carried_well(ended: &RunEnded) {
 
 #[test]
 fn a_box_is_carried_between_both_hands_and_put_down_though_it_and_an_arm_are_shoved() {
-    let shoved = include_str!("../../statecharts/carry_box_shoved.world.yaml");
-    is_carried_well(&carried("carry_box.yaml", 1, |_| shoved.to_owned()));
+    let charts = armarium_tests::repository::root().join("statecharts");
+    let world = Some(charts.join("carry_box_shoved.world.yaml"));
+    is_carried_well(&ended(RunConfig { world, seed: 1, ..RunConfig::new(charts.join("carry_box.yaml")) }));
 }
 
 #[test]

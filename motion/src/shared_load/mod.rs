@@ -22,7 +22,7 @@ use crate::straight_line::LinePoint;
 /// Contacts that are nearer to each other than this have no line between them, m.
 const LEAST_APART: f64 = 0.01;
 
-/// How much more a hand presses than with what it carries along the load's side over the friction, where both share the load unequally.
+/// How much more a hand presses than with what it carries along the load's side over the friction, be it by an unequal share or by a shove.
 const FIRM: f64 = 1.25;
 
 constants! {
@@ -271,26 +271,23 @@ impl SharedLoad {
         let load_from_root = loads[0].pose.rotation.inverse();
         // With less than this a hand slips.
         let least = forces.hands.iter().map(|(_, along)| along / c.friction).fold(0.0, f64::max);
-        // Along this line the squeeze is kept; in all other directions the hands yield.
-        let (line, needed) = match self.holding {
+        // Along this line the squeeze is kept; in all other directions the hands yield. `shared` is what the load asks for, `firm` what
+        // keeps each hand from slipping.
+        let (line, shared, firm) = match self.holding {
             Holding::Pressing => {
-                // Half of the load with the margin, and what each hand really carries with a small one.
-                let shared = c.margin * self.carried / (2.0 * c.friction);
+                let shared = c.squeeze.max(c.margin * self.carried / (2.0 * c.friction));
                 // What is shoved from one hand towards the other presses less on the first one.
-                let firm = forces
-                    .hands
-                    .iter()
-                    .map(|(across, along)| FIRM * along / c.friction + forces.squeeze - across);
-                let needed =
-                    [c.squeeze.max(shared), firm.fold(0.0, f64::max)].map(|force| force.min(c.most_squeeze));
-                (load_from_root * forces.line.into_inner(), needed)
+                let firm = |(across, along): &(f64, f64)| FIRM * along / c.friction + forces.squeeze - across;
+                let firm = forces.hands.iter().map(firm).fold(0.0, f64::max);
+                let line = load_from_root * forces.line.into_inner();
+                (line, shared.min(c.most_squeeze), firm.min(c.most_squeeze))
             }
-            Holding::Gripping => (Vector3::zeros(), [0.0; 2]),
+            Holding::Gripping => (Vector3::zeros(), 0.0, 0.0),
         };
         let too_little = self.holding == Holding::Pressing && least > c.most_squeeze;
         self.slips = if too_little { self.slips + dt } else { 0.0 };
-        let fastest = if needed[1] > self.wanted { c.slip_rate } else { c.squeeze_rate };
-        let missing = needed[0].max(needed[1]) - self.wanted;
+        let fastest = if firm > self.wanted { c.slip_rate } else { c.squeeze_rate };
+        let missing = shared.max(firm) - self.wanted;
         self.wanted += missing.clamp(-c.squeeze_rate * dt, fastest * dt);
         let closing = (c.gain * (self.wanted - forces.squeeze)).clamp(-c.fastest, c.fastest);
         let along_sides = load_from_root * forces.internal - line * forces.squeeze;

@@ -288,7 +288,9 @@ impl Plant {
         if let Some(forearm) = self.robots[0].forearm() {
             let forearm = &mut self.physics.bodies[forearm];
             forearm.reset_forces(false);
-            forearm.add_force(convert::vector(&external.arm), true);
+            if external.arm != Vector3::zeros() {
+                forearm.add_force(convert::vector(&external.arm), true);
+            }
         }
         for (i, object) in self.objects.iter_mut().enumerate() {
             let body = &mut self.physics.bodies[object.handle];

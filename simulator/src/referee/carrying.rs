@@ -339,7 +339,7 @@ mod tests {
     use super::*;
     use crate::physics::PressingHand;
     use crate::referee::TruthLog;
-    use crate::world::World;
+    use crate::world::{Disturbance, World};
 
     /// A box of 2 kg that two hands press with 25 N, lift by 0.1 m in a second, tilt by `tilt` rad at the end, and put down with
     /// `extra` N more than its weight.
@@ -455,7 +455,7 @@ mod tests {
         assert!(rms(&world) > 5.0, "{}", rms(&world));
         let start = WorldEvent::Start;
         world.disturbances =
-            vec![crate::world::Disturbance { after: start, at: 2.0, duration: 0.2, ..Default::default() }];
+            vec![Disturbance { after: start, at: 2.0, duration: 0.2, ..Disturbance::default() }];
         // 25 N, and 1.5 * 19.62 N / (2 * 0.6) are asked.
         assert!((rms(&world) - 0.475).abs() < 1e-3, "{}", rms(&world));
     }

@@ -13,7 +13,7 @@ use super::probes::{Probe, cell, figure, table_of, things};
 use super::run::{JudgedRun, ns, seconds};
 use super::{Milestone, TruthLog};
 use crate::physics::LedHand;
-use crate::world::{Disturbance, WorldEvent, WrenchFault};
+use crate::world::{Disturbance, HAND, WorldEvent, WrenchFault};
 
 pub(super) const PROBE: Probe = Probe { name: "guiding", measure, asks, section };
 
@@ -162,7 +162,7 @@ fn played(run: &JudgedRun<'_>) -> Option<f64> {
 
 /// The forces on the hand at times that the world's file says. One that is there from the start is a weight, and no push.
 fn pushes<'r>(run: &'r JudgedRun<'_>) -> impl Iterator<Item = &'r Disturbance> {
-    let on_the_hand = |d: &&Disturbance| d.after == WorldEvent::Start && d.at > 0.0 && d.knock == "hand";
+    let on_the_hand = |d: &&Disturbance| d.after == WorldEvent::Start && d.at > 0.0 && d.knock == HAND;
     run.world.disturbances.iter().filter(on_the_hand)
 }
 
@@ -382,7 +382,7 @@ mod tests {
         let force = |force: f64, at: f64, duration: f64| Disturbance {
             after: WorldEvent::Start,
             at,
-            knock: "hand".into(),
+            knock: HAND.into(),
             force: [force, 0.0, 0.0],
             duration,
             steady: true,

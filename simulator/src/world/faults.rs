@@ -4,7 +4,9 @@ use armarium_source::{Rule, choice, form};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// What a disturbance names that shoves the forearm of the arm that works.
+/// What a disturbance names that shoves the hand of the arm that works.
+pub const HAND: &str = "hand";
+/// What one names that shoves its forearm.
 pub const ARM: &str = "arm";
 
 form! {

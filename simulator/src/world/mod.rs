@@ -35,7 +35,7 @@ pub use coach::{
     CoachSpec, CoachingAction, CoachingStep, DemonstrationSpec, Palm, PathShape, Push, Show, SwipeSpec,
     Timing, ToolSpec,
 };
-pub use faults::{ARM, Disturbance, Faults, ImageFault, WorldEvent, WrenchFault};
+pub use faults::{ARM, Disturbance, Faults, HAND, ImageFault, WorldEvent, WrenchFault};
 pub use person::{ActorSpec, PersonAction, PersonSpec, Side, Sleeves};
 pub use physics::{DepthSpec, Imperfections, Physics};
 
@@ -495,7 +495,7 @@ impl World {
     fn names_exist(&self, root: &Node, findings: &mut Findings) {
         let names: Vec<&str> = (self.objects.iter().map(|o| o.name.as_str()))
             .chain(self.bodies.iter().map(|b| b.name.as_str()))
-            .chain(["hand", ARM])
+            .chain([HAND, ARM])
             .collect();
         for (i, disturbance) in self.disturbances.iter().enumerate() {
             if !names.contains(&disturbance.knock.as_str()) {

@@ -10,10 +10,10 @@ use nalgebra::{Vector3, Vector6};
 use crate::arm::{LeasedArm, Senses, chosen, moves_the_arm};
 use crate::both::at_rest;
 use crate::equipment::{self, Equipment};
-use crate::follow::FollowingPlatform;
 use crate::inputs::reference;
 use crate::led::LedWay;
 use crate::motions::{self, failed};
+use crate::platform::FollowingPlatform;
 
 /// The outcomes besides `success`.
 const NOBODY: &str = "nobody";

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Lease, Model, Platform, PlatformKind, Sensed};
+use armarium_robot::{Lease, Platform, PlatformKind};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Vector2, Vector3};
 
 use crate::arm::{Senses, lease};
 use crate::equipment::{self, Equipment};
-use crate::follow::turn_between;
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
+use crate::platform::{place, turn_between};
 
 /// Gain of the errors, 1/s.
 const GAIN: f64 = 2.0;
@@ -87,11 +87,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
         drive.towards(&here, off, turn)?;
     }
-}
-
-/// Where the platform is, root frame.
-fn place(model: &Model, platform: &Platform, sample: &Sensed) -> Isometry3<f64> {
-    model.link_pose(&sample.position, platform.link)
 }
 
 /// Where it is to go, root frame.

@@ -158,7 +158,7 @@ async fn squeeze(
     let rest = at_rest(*law.taken());
     let (mut right, mut waited) = (0.0, 0.0);
     let (near, long, longest) = SQUEEZED;
-    let mut half = None;
+    let mut first = None;
     loop {
         let (sample, dt) = senses.next().await?;
         let hands = both.on_load(&sample)?;
@@ -167,13 +167,13 @@ async fn squeeze(
         both.track(&sample, &step.hands)?;
         let squeeze = step.forces.squeeze;
         if squeeze > least * FROM {
-            half.get_or_insert((squeeze, apart));
+            first.get_or_insert((squeeze, apart));
         }
         let is_right = step.wanted >= least && (squeeze - step.wanted).abs() < near * step.wanted;
         right = if is_right { right + dt } else { 0.0 };
         waited += dt;
         if right > long && step.status == LoadStatus::Held {
-            let (before, was_apart) = half.unwrap_or((squeeze, apart));
+            let (before, was_apart) = first.unwrap_or((squeeze, apart));
             let closed = ((was_apart - apart) / 2.0).max(RESOLVED);
             let rise = squeeze - before;
             return Ok((squeeze, if rise > RISE { rise / closed } else { 0.0 }));

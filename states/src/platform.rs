@@ -1,4 +1,4 @@
-//! A platform that follows a hand that is led beyond its arm's reach, or what both hands carry.
+//! Where a platform is, and one that follows a hand that is led beyond its arm's reach, or what both hands carry.
 //!
 //! What it follows is free within a circle about where the arms work best. Beyond it the platform drives after it, the faster the
 //! farther that is, and the arms take back from their own motion what the platform adds. After a hand it drives and does not turn.
@@ -68,14 +68,14 @@ impl FollowingPlatform {
         let model = Arc::clone(equipment.robot.model());
         let platform = *model.platform()?;
         let lease = lease(equipment, context, Platform::LIMB, &[]).ok()?;
-        let best = model.link_pose(&sample.position, platform.link).inverse() * root_from_best;
+        let best = place(&model, &platform, sample).inverse() * root_from_best;
         let (velocity, turning) = (Vector3::zeros(), 0.0);
         Some(Self { lease, model, platform, best, free, turns, velocity, turning })
     }
 
     /// Drives for `dt` s after something that is at `point` (root frame) and moves like it.
     pub(crate) fn follow(&mut self, dt: f64, sample: &Sensed, point: &LinePoint) -> Result<(), Failure> {
-        let here = self.model.link_pose(&sample.position, self.platform.link);
+        let here = place(&self.model, &self.platform, sample);
         let (missing, turn) = match self.turns {
             true => (turn_between(&(here * self.best).rotation, &point.pose.rotation), point.angular.z),
             false => (0.0, 0.0),
@@ -105,7 +105,7 @@ impl FollowingPlatform {
 
     /// The velocity with which it carries what is at a place in the root frame.
     pub(crate) fn carries(&self, sample: &Sensed, at: &Vector3<f64>) -> Twist {
-        let here = self.model.link_pose(&sample.position, self.platform.link);
+        let here = place(&self.model, &self.platform, sample);
         let angular = Vector3::z() * self.turning;
         Twist { linear: self.velocity + angular.cross(&(at - here.translation.vector)), angular }
     }
@@ -119,6 +119,11 @@ impl FollowingPlatform {
     fn command(&self) -> Result<(), Failure> {
         self.lease.command(&[self.velocity.x, self.velocity.y, self.turning]).map_err(failed)
     }
+}
+
+/// Where a platform is, root frame.
+pub(crate) fn place(model: &Model, platform: &Platform, sample: &Sensed) -> Isometry3<f64> {
+    model.link_pose(&sample.position, platform.link)
 }
 
 /// What of a vector is along the floor.
