@@ -1,5 +1,6 @@
 //! What is wrong with a file, and where: data that the program renders. Nothing is printed here.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::io::Read as _;
 use std::path::Path;
@@ -11,6 +12,9 @@ use crate::code;
 use crate::remedy::{Edit, Remedy};
 use crate::span::Span;
 use crate::text::Source;
+
+/// Most names that are listed.
+const LISTED: usize = 20;
 
 /// Largest file, bytes.
 pub(crate) const MAX_BYTES: usize = 10_000_000;
@@ -173,7 +177,7 @@ impl Findings {
     }
 
     /// Adds an error about a name that stands for nothing. If one of `known` is near, the help proposes it and an edit
-    /// puts it there; otherwise `help` is the help.
+    /// puts it there; otherwise `help` is the help, or a list of those that are known.
     pub fn unknown<'a>(
         &mut self,
         code: &'static str,
@@ -182,8 +186,10 @@ impl Findings {
         known: impl IntoIterator<Item = &'a str>,
         help: Option<String>,
     ) {
-        let near = armarium_values::expr::nearest(at.1, known);
-        self.error_help(code, at.0, message, near.map(proposed).or(help));
+        let known: BTreeSet<&str> = known.into_iter().collect();
+        let near = armarium_values::expr::nearest(at.1, known.iter().copied());
+        let help = near.map(proposed).or(help).unwrap_or_else(|| listed(&known));
+        self.error_help(code, at.0, message, Some(help));
         if let Some(near) = near {
             self.remedy(Remedy::replace(at.0, near));
         }
@@ -209,6 +215,17 @@ impl Findings {
 /// `did you mean ...?`, where a candidate is near.
 pub fn suggest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<String> {
     armarium_values::expr::nearest(name, candidates).map(proposed)
+}
+
+/// `known are: ...`, with as many as one reads.
+pub fn listed(known: &BTreeSet<impl AsRef<str>>) -> String {
+    let names: Vec<&str> = known.iter().take(LISTED).map(AsRef::as_ref).collect();
+    let more = known.len() - names.len();
+    match (names.is_empty(), more) {
+        (true, _) => "none is known".into(),
+        (false, 0) => format!("known are: {}", names.join(", ")),
+        (false, more) => format!("known are: {}, and {more} more", names.join(", ")),
+    }
 }
 
 fn proposed(near: &str) -> String {

@@ -33,7 +33,7 @@ pub mod yaml;
 pub use draw::{Drawn, draw};
 pub use field::{Field, Rule, word};
 pub use files::{Disk, Files, is_yaml, outermost};
-pub use finding::{Finding, Findings, Severity, suggest};
+pub use finding::{Finding, Findings, Severity, listed, suggest};
 pub use form::{Form, FormKey, object, read, read_node, schema, set};
 pub use layout::{Brackets, Layout, LayoutEntry};
 pub use remedy::{Edit, Remedy, applied};

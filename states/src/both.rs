@@ -62,7 +62,7 @@ pub(crate) fn moves_both(manifest: SkillManifest, equipment: &Equipment) -> Skil
 
 /// Adds the input that says what moves with both arms.
 pub(crate) fn moves_with(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
-    let what = "What moves with the arms, where the robot has it: the `torso` turns, or the `platform` drives and turns, so that the \
+    let what = "What moves with the arms: the `torso` turns, where the robot has one, or the `platform` drives and turns, so that the \
                 load stays before the robot.";
     let mut manifest = manifest.optional(MOVES, Type::one_of([ARMS, TORSO, PLATFORM]), ARMS, what);
     let model = equipment.robot.model();
@@ -210,8 +210,8 @@ impl BothArms {
         Ok(Self { arms, faces, holding, helper: None, off: 0.0, hands })
     }
 
-    /// From now on what the input says moves with the hands, if the robot has it and nobody else commands it. What they hold is at
-    /// `root_from_load`.
+    /// From now on what the input says moves with the hands: the torso if the robot has one and nobody else commands it, the platform
+    /// or it fails. What they hold is at `root_from_load`.
     pub(crate) fn move_with(
         &mut self,
         equipment: &Equipment,
@@ -225,8 +225,10 @@ impl BothArms {
                 let limbs = [&self.arms[0].limb, &self.arms[1].limb];
                 TurningTorso::take(equipment, context, limbs, (sample, &hands)).map(Helper::Torso)
             }
-            PLATFORM => FollowingPlatform::under_load(equipment, context, sample, root_from_load)
-                .map(Helper::Platform),
+            PLATFORM => {
+                let platform = FollowingPlatform::under_load(equipment, context, sample, root_from_load)?;
+                Some(Helper::Platform(platform))
+            }
             _ => None,
         };
         Ok(())

@@ -45,17 +45,17 @@ impl FollowingPlatform {
     ) -> Result<Option<Self>, Failure> {
         let works = workspace(equipment.robot.model(), arm, &sample.position)?;
         let works = Isometry3::from_parts(works.translation, UnitQuaternion::identity());
-        Ok(Self::take(equipment, context, sample, (&works, FREE, false)))
+        Ok(Self::take(equipment, context, sample, (&works, FREE, false)).ok())
     }
 
-    /// The platform, to stay under what both hands carry as it is now, with that at `root_from_load`; `None` if there is none, or
+    /// The platform, to stay under what both hands carry as it is now, with that at `root_from_load`; a failure if there is none, or
     /// somebody else drives it.
     pub(crate) fn under_load(
         equipment: &Equipment,
         context: &SkillContext,
         sample: &Sensed,
         root_from_load: &Isometry3<f64>,
-    ) -> Option<Self> {
+    ) -> Result<Self, Failure> {
         Self::take(equipment, context, sample, (root_from_load, 0.0, true))
     }
 
@@ -64,13 +64,13 @@ impl FollowingPlatform {
         context: &SkillContext,
         sample: &Sensed,
         (root_from_best, free, turns): (&Isometry3<f64>, f64, bool),
-    ) -> Option<Self> {
+    ) -> Result<Self, Failure> {
         let model = Arc::clone(equipment.robot.model());
-        let platform = *model.platform()?;
-        let lease = lease(equipment, context, Platform::LIMB, &[]).ok()?;
+        let platform = platform_of(&model)?;
+        let lease = lease(equipment, context, Platform::LIMB, &[])?;
         let best = place(&model, &platform, sample).inverse() * root_from_best;
         let (velocity, turning) = (Vector3::zeros(), 0.0);
-        Some(Self { lease, model, platform, best, free, turns, velocity, turning })
+        Ok(Self { lease, model, platform, best, free, turns, velocity, turning })
     }
 
     /// Drives for `dt` s after something that is at `point` (root frame) and moves like it.
@@ -119,6 +119,12 @@ impl FollowingPlatform {
     fn command(&self) -> Result<(), Failure> {
         self.lease.command(&[self.velocity.x, self.velocity.y, self.turning]).map_err(failed)
     }
+}
+
+/// What the robot drives on.
+pub(crate) fn platform_of(model: &Model) -> Result<Platform, Failure> {
+    let none = || Failure::new(format!("the robot `{}` has no platform", model.name()));
+    model.platform().copied().ok_or_else(none)
 }
 
 /// Where a platform is, root frame.

@@ -5,6 +5,7 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
+use armarium_source::listed;
 use armarium_values::Type;
 
 use crate::skill::{NameKind, Parameter, Skill, SkillManifest};
@@ -28,7 +29,7 @@ pub trait KnownNames: Send + Sync {
 
 /// A name that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no {kind} `{name}`; {}", listed(known))]
+#[error("{}; {}", self.message(), listed(known))]
 pub struct UnknownName {
     /// What it should name.
     pub kind: NameKind,
@@ -38,16 +39,10 @@ pub struct UnknownName {
     pub known: BTreeSet<String>,
 }
 
-/// Most names that a message lists.
-const MAX_LISTED: usize = 20;
-
-fn listed(known: &BTreeSet<String>) -> String {
-    let names: Vec<&str> = known.iter().take(MAX_LISTED).map(String::as_str).collect();
-    let more = known.len() - names.len();
-    match (names.is_empty(), more) {
-        (true, _) => "none is known".into(),
-        (false, 0) => format!("known are: {}", names.join(", ")),
-        (false, more) => format!("known are: {}, and {more} more", names.join(", ")),
+impl UnknownName {
+    /// What is wrong, without those that exist.
+    pub(crate) fn message(&self) -> String {
+        format!("there is no {} `{}`", self.kind, self.name)
     }
 }
 

@@ -148,7 +148,7 @@ impl Check<'_> {
         let Err(unknown) = self.registry.known_name(to.kind, name, self.chart) else { return };
         let mut findings = Findings::new(Arc::clone(source));
         let names = unknown.known.iter().map(String::as_str);
-        findings.unknown(code::REFERENCE, (span, name), unknown.to_string(), names, None);
+        findings.unknown(code::REFERENCE, (span, name), unknown.message(), names, None);
         self.findings.append(&mut findings.list);
     }
 

@@ -196,12 +196,9 @@ impl Check<'_> {
         span: Span,
         what: &str,
         name: &str,
-        known: impl Iterator<Item = &'n str> + Clone,
+        known: impl Iterator<Item = &'n str>,
     ) {
-        let all: BTreeSet<&str> = known.clone().collect();
-        let listed = (!all.is_empty())
-            .then(|| format!("known are: {}", all.into_iter().collect::<Vec<_>>().join(", ")));
-        self.findings.unknown(code, (span, name), format!("there is no {what} `{name}`"), known, listed);
+        self.findings.unknown(code, (span, name), format!("there is no {what} `{name}`"), known, None);
     }
 
     fn state(&mut self, span: Span, name: &str) -> Option<StateId> {
@@ -310,7 +307,7 @@ impl Check<'_> {
                 && let Err(unknown) = self.registry.known_name(kind, text, self.program.file())
             {
                 let known = unknown.known.iter().map(String::as_str);
-                self.findings.unknown(code::REFERENCE, (span, text), unknown.to_string(), known, None);
+                self.findings.unknown(code::REFERENCE, (span, text), unknown.message(), known, None);
             }
         }
     }

@@ -240,9 +240,9 @@ states:
             (json!({"event": "success", "from": "C"}), "there is no state `C` (did you mean `A`?)"),
             (
                 json!({"event": "success", "from": "B"}),
-                "there is no outcome or watch of `B` called `success`",
+                "there is no outcome or watch of `B` called `success` (none is known)",
             ),
-            (json!({"channel": "hand", "value": 1}), "there is no channel `hand`"),
+            (json!({"channel": "hand", "value": 1}), "there is no channel `hand` (none is known)"),
         ] {
             let found = check.check(&step).err().map_or_else(String::new, |error| error.to_string());
             assert_eq!(found, said, "{step}");

@@ -11,7 +11,7 @@ use crate::arm::{Senses, lease};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
-use crate::platform::{place, turn_between};
+use crate::platform::{place, platform_of, turn_between};
 
 /// Gain of the errors, 1/s.
 const GAIN: f64 = 2.0;
@@ -51,8 +51,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let model = Arc::clone(equipment.robot.model());
-    let none = || Failure::new(format!("the robot `{}` has no platform", model.name()));
-    let platform = *model.platform().ok_or_else(none)?;
+    let platform = platform_of(&model)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let goal = goal(&context, &place(&model, &platform, &senses.newest()))?;
     let (position, orientation) =
