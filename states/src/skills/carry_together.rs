@@ -24,10 +24,18 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     )
     .input("by", Type::list(Type::FLOAT), "How far: x, y, z in the root frame, m.")
     .optional("turn", Type::quantity(Unit::RAD), 0.0, "How far it is turned about the vertical.")
+    .optional(
+        "level",
+        Type::Bool,
+        false,
+        "Whether it is turned on the way so that both hands are at one height, too: for grips that are at one height on it.",
+    )
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.");
     let manifest = holds(manifest)
         .output("force", Type::quantity(Unit::N), "With what the hands press against each other at the end.")
         .output("weight", Type::quantity(Unit::N), "The weight that they carry at the end.")
+        .output("middle", Type::list(Type::FLOAT), "Where the middle between both hands is then: x, y, z in the root frame, m.")
+        .output("yaw", Type::quantity(Unit::RAD), "The angle about z from the root frame's x axis to the line from the second hand to the first one.")
         .outcome(LOST)
         .outcome(SLIPS)
         .mark(Mark::at_start("carrying_started"))
@@ -38,11 +46,14 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let by = context.vector("by")?;
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
+    let mut turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), context.number("turn")?);
     let mut both = BothArms::take(&equipment, &context, &[by], holding(&context)?).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut law = both.take_load(&senses.newest(), config_held(&equipment, &context)?)?;
     let from = *law.taken();
+    if context.flag("level")? {
+        turn *= level(&across(&both.faces(&senses.newest())));
+    }
     both.move_with(&equipment, &context, &senses.newest(), &from)?;
     let to = Isometry3::from_parts(Translation3::from(from.translation.vector + by), turn * from.rotation);
     let mut line = StraightLine::new(from, to, context.number("speed")?).map_err(failed)?;
@@ -64,8 +75,23 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
         if rested > RESTS {
             both.arrived()?;
-            let outcome = Outcome::success().with("force", force);
-            return Ok(outcome.with("weight", weight / rested));
+            let faces = both.faces(&sample);
+            let middle = (faces[0].translation.vector + faces[1].translation.vector) / 2.0;
+            let line = across(&faces);
+            let outcome = Outcome::success().with("force", force).with("weight", weight / rested);
+            return Ok(outcome
+                .with("middle", <[f64; 3]>::from(middle))
+                .with("yaw", libm::atan2(line.y, line.x)));
         }
     }
+}
+
+/// From the second hand to the first one.
+fn across([first, second]: &[Isometry3<f64>; 2]) -> Vector3<f64> {
+    first.translation.vector - second.translation.vector
+}
+
+/// What turns this line by the shortest way to the height of its beginning.
+fn level(line: &Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(line, &Vector3::new(line.x, line.y, 0.0)).unwrap_or_default()
 }
