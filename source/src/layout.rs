@@ -57,7 +57,8 @@ impl Layout {
     /// The layout of a text.
     #[must_use]
     pub fn of(text: &str) -> Self {
-        let mut scanner = Scanner { text: text.as_bytes(), at: 0, layout: Self::default(), open: Vec::new() };
+        let mut scanner =
+            Scanner { text: text.as_bytes(), at: 0, line: (0, 0), layout: Self::default(), open: Vec::new() };
         while scanner.at < scanner.text.len() {
             scanner.line();
         }
@@ -103,6 +104,8 @@ impl Layout {
 struct Scanner<'t> {
     text: &'t [u8],
     at: usize,
+    /// A byte, and where its line begins.
+    line: (usize, usize),
     layout: Layout,
     /// Entries whose end is not known yet, outermost first.
     open: Vec<usize>,
@@ -150,9 +153,13 @@ impl Scanner<'_> {
         }
     }
 
-    /// Bytes before a byte in its line.
-    fn column(&self, at: usize) -> usize {
-        at - self.text[..at].iter().rposition(|byte| *byte == b'\n').map_or(0, |newline| newline + 1)
+    /// Bytes before a byte in its line. It is searched from the byte of which it was asked last: lines may be very long.
+    fn column(&mut self, at: usize) -> usize {
+        let (from, start) = if at < self.line.0 { (0, 0) } else { self.line };
+        let newline = self.text[from..at].iter().rposition(|byte| *byte == b'\n');
+        let start = newline.map_or(start, |newline| from + newline + 1);
+        self.line = (at, start);
+        at - start
     }
 
     fn enter(&mut self, key: Span, flow: bool, item: bool) {
@@ -270,7 +277,7 @@ impl Scanner<'_> {
         loop {
             match self.peek() {
                 Some(b'{' | b'[') => self.flow(),
-                Some(quote @ (b'"' | b'\'')) => self.quoted(quote),
+                Some(quote @ (b'"' | b'\'')) => self.quoted(quote, self.margin()),
                 Some(b'|' | b'>') => self.block_text(),
                 Some(b'&' | b'!' | b'*') => {
                     while self.peek().is_some_and(|byte| !byte.is_ascii_whitespace()) {
@@ -335,8 +342,8 @@ impl Scanner<'_> {
     }
 
     /// Text in quotes, over lines that are right of the margin.
-    fn quoted(&mut self, quote: u8) {
-        let (start, margin) = (self.at, self.margin());
+    fn quoted(&mut self, quote: u8, margin: isize) {
+        let start = self.at;
         let end = match closing_quote(&self.text[start..], quote) {
             Some(len) => start + len,
             None => self.text.len(),
@@ -421,7 +428,7 @@ impl Scanner<'_> {
                     }
                     self.at += 1;
                 }
-                _ => self.flow_token(&around),
+                _ => self.flow_token(&around, margin),
             }
         }
         for (bracket, count) in around.into_iter().rev() {
@@ -451,10 +458,10 @@ impl Scanner<'_> {
     }
 
     /// A scalar between brackets: a key, if a colon follows, or a value.
-    fn flow_token(&mut self, around: &[(usize, usize)]) {
+    fn flow_token(&mut self, around: &[(usize, usize)], margin: isize) {
         let start = self.at;
         if let Some(quote @ (b'"' | b'\'')) = self.peek() {
-            self.quoted(quote);
+            self.quoted(quote, margin);
             if self.at == start {
                 self.at += 1;
             }

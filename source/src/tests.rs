@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Finding, Rule, Source, code, form, read, schema};
+use super::{Finding, Layout, Rule, Source, code, form, read, schema};
 
 form! {
     /// A shelf.
@@ -113,6 +113,19 @@ proptest::proptest! {
     #[test]
     fn no_value_panics(key in "[a-z_]{1,12}", value in "[-a-z0-9.,\\[\\]{}: ]{0,24}") {
         let _ = shelf(&format!("name: {{{key}: {value}}}\nbooks: [{{{key}: {value}}}]\n{key}: {value}\n"));
+    }
+}
+
+/// With a search for the line's beginning from each item, this would take minutes.
+#[test]
+fn very_long_lines_have_their_columns() {
+    let items = 300_000;
+    for (open, item, close) in [("[", "1, ", "]"), ("[", "\"a\", ", "]"), ("[", "[", "]")] {
+        let text = format!("a: 1\nb: {open}{}{close}\n", item.repeat(items));
+        let layout = Layout::of(&text);
+        let last = layout.entries.last().expect("it has items");
+        assert_eq!(layout.entries.len(), items + 2);
+        assert_eq!(last.column, last.key.start - "a: 1\n".len(), "{item}");
     }
 }
 
