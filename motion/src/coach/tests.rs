@@ -106,10 +106,12 @@ fn gesture(sign: f64, hand: Vector3<f64>) -> CoachInput {
 fn pushes_move_the_path_where_and_whither_they_push() {
     // How far around its middle a push is felt, in turn.
     let mut half_arcs = [0.15, 0.2].into_iter().cycle();
+    // Two directions at each place: all four with each shape, size and phase.
+    let mut turns = [[0.0, 2.5], [1.0, 4.0], [4.0, 1.0], [2.5, 0.0]].into_iter().cycle();
     for kind in ["ellipse", "eight", "line"] {
         for size in [[0.10, 0.06], [0.16, 0.12]] {
             for phase in [0.25, 0.5, 0.9] {
-                for turn in [0.0, 1.0, 2.5, 4.0] {
+                for turn in turns.next().expect("it has no end") {
                     let half_arc = half_arcs.next().expect("it has no end");
                     let mut moved = Vec::new();
                     for hz in [0.3, 0.5, 0.8] {

@@ -13,7 +13,7 @@ use crate::table::{DirtGrid, TableTop};
 use crate::world::{ActorSpec, PersonSpec, Sleeves};
 
 /// Frames of a sequence, those at its beginning that do not count, and their rate, Hz.
-const FRAMES: u64 = 36;
+const FRAMES: u64 = 28;
 const BEGINS: u64 = 6;
 const RATE: f64 = 15.0;
 
@@ -206,7 +206,7 @@ fn watch(seed: u64, does: Does, depth: bool, all: &mut Errors) {
     let from = [0, 1].map(|side| goal(&mut rng, &spec, side, Does::Hangs));
     let to = [0, 1].map(|side| goal(&mut rng, &spec, side, does));
     for number in 1..=FRAMES {
-        let share = minimum_jerk((number as f64 / (0.7 * FRAMES as f64)).min(1.0));
+        let share = minimum_jerk((number as f64 / (0.9 * FRAMES as f64)).min(1.0));
         let hands = [0, 1].map(|side| feet * (from[side] + (to[side] - from[side]) * share));
         let parts = poses(&spec, &feet, &hands);
         let truth = joints(&spec, &parts).unwrap();
