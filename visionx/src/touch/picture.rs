@@ -119,8 +119,9 @@ impl Picture {
         seen.is_some_and(|seen| (seen - expected).abs() < BEFORE)
     }
 
-    /// By how much another picture is shifted against where the camera's known motion would bring it, px.
-    pub(super) fn shift_of(&self, other: &Self) -> Vector2<f64> {
+    /// By how much the table in another picture is shifted against where the camera's known motion would bring it, px. What rises from the
+    /// table may move by itself.
+    pub(super) fn shift_of(&self, other: &Self, table: &TouchedTable) -> Vector2<f64> {
         let other_from_this = other.root_from_left.inverse() * self.root_from_left;
         let pair = |(x, y): (u32, u32)| {
             let (x, y) = (x * GRID, y * GRID);
@@ -129,8 +130,11 @@ impl Picture {
             if depth == 0.0 || self.hides(&px, HALF) {
                 return None;
             }
-            let there =
-                self.camera.project(&(other_from_this * Point3::from(self.camera.ray(&px) * depth)))?;
+            let at = Point3::from(self.camera.ray(&px) * depth);
+            if table.normal.dot(&(self.root_from_left * at - table.at)) > RAISED {
+                return None;
+            }
+            let there = self.camera.project(&(other_from_this * at))?;
             (!other.hides(&there, HALF)).then(|| (Point2::new(x as i32, y as i32), there))
         };
         let grid = Region::whole(self.camera.width / GRID, self.camera.height / GRID);

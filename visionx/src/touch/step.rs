@@ -75,7 +75,7 @@ impl TouchStep {
         let Some(now) = pictures.next() else { return Vec::new() };
         let Some(then) = pictures.find(|earlier| apart(now, earlier)) else { return Vec::new() };
         let Some(before) = pictures.find(|earlier| apart(then, earlier)) else { return Vec::new() };
-        let shifts = [before, now].map(|other| then.shift_of(other));
+        let shifts = [before, now].map(|other| then.shift_of(other, &self.table));
         then.around_fingers().filter_map(|px| self.patch([before, then, now], &shifts, px)).collect()
     }
 
