@@ -22,7 +22,11 @@ fn chart(name: &str) -> PathBuf {
 /// everything else.
 #[test]
 fn bob_grasps_by_what_alice_sees_and_alice_learns_that_he_holds_it() {
-    std::thread::scope(|scope| ["right", "left"].map(|side| scope.spawn(move || grasps_with(side))));
+    std::thread::scope(|scope| {
+        for side in ["right", "left"] {
+            scope.spawn(move || grasps_with(side));
+        }
+    });
 }
 
 fn grasps_with(side: &str) {
