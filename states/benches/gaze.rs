@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
 
-use std::sync::Arc;
-
 use armarium_motion::{GazeConfig, GazeSelection, GazeStrategy, GazeTarget};
 use armarium_robot::{Gaze, Kinematics, Model};
 use divan::Bencher;
@@ -40,7 +38,6 @@ fn choice(bencher: Bencher, (count, beside): (usize, bool)) {
     let (eye, axis) = look(&start);
     let middle = if beside { Vector3::new(1.2, -0.1, 1.3) } else { Vector3::new(0.1, 0.6, 1.0) };
     let targets = things(count, &eye, middle);
-    let model: Arc<Model> = Arc::clone(&model);
     bencher.bench_local(|| {
         let mut selection = GazeSelection::new(GazeConfig::default(), GazeStrategy::Saliency).unwrap();
         selection.choose(0.01, &axis, &targets, |direction| {
