@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
+use super::picture::Picture;
 use super::{OwnFinger, OwnHand, OwnPart, TouchStep, TouchedTable};
 use crate::scenes::{CALIBRATION, SKIN, TABLE, Thing, frame, frame_with_depth, table};
 use crate::steps::StereoStep;
@@ -18,6 +19,10 @@ const PICTURES: u64 = 15;
 const TOUCHED: u64 = 10;
 
 const BLACK: [u8; 3] = [40, 40, 45];
+
+fn under() -> TouchedTable {
+    TouchedTable { at: Point3::new(0.25, 0.5, SURFACE), normal: Vector3::z_axis() }
+}
 
 /// The hand with its fingers forward, along the root frame's y, palm down; the finger `right` is at larger x.
 fn hand(y: f64) -> OwnHand {
@@ -51,8 +56,7 @@ fn pushed_box(x: f64, by: f64) -> Thing {
 
 /// What the step tells of each picture of a table with the hand and these things.
 fn told(depth: bool, things: impl Fn(u64) -> Vec<Thing>) -> Vec<Option<(String, Point3<f64>)>> {
-    let under = TouchedTable { at: Point3::new(0.25, 0.5, SURFACE), normal: Vector3::z_axis() };
-    let mut step = TouchStep::new(CALIBRATION.camera, "hand", under, |stamp| Some(hand(way(stamp))));
+    let mut step = TouchStep::new(CALIBRATION.camera, "hand", under(), |stamp| Some(hand(way(stamp))));
     let told = (0..PICTURES).map(|picture| {
         let own = hand(way(picture)).parts.into_iter().map(|part| Thing::Block {
             root_from_block: part.root_from_box,
@@ -111,6 +115,31 @@ fn a_hand_that_passes_over_the_box_is_no_touch() {
         let told = told(true, |picture| vec![pushed_box(0.0, 0.0), ball(picture)]);
         assert!(told.iter().all(Option::is_none), "{speed}: {told:?}");
     }
+}
+
+#[test]
+fn pictures_are_aligned_by_the_table_whatever_moves_above_it() {
+    let tiles = |count: i32, height: f64, x: f64| {
+        (0..count * count).map(move |i| Thing::Block {
+            root_from_block: Isometry3::translation(
+                x + 0.04 * f64::from(i % count),
+                0.4 + 0.04 * f64::from(i / count),
+                SURFACE + height,
+            ),
+            size: Vector3::new(0.02, 0.02, 0.001),
+            color: BLACK,
+        })
+    };
+    let picture = |stamp: u64, moved: f64| {
+        let all: Vec<Thing> = [table(TABLE)]
+            .into_iter()
+            .chain(tiles(6, 0.001, 0.0))
+            .chain(tiles(6, 0.15, 0.26 + moved))
+            .collect();
+        Picture::new(&frame_with_depth(&all, stamp, stamp), &CALIBRATION.camera, hand(BEGIN)).unwrap()
+    };
+    let shift = picture(0, 0.0).shift_of(&picture(1, 0.003), &under());
+    assert!(shift.norm() < 0.1, "{shift}");
 }
 
 #[test]
