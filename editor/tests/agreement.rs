@@ -1,13 +1,11 @@
 //! The editor and `check` find the same, whatever is typed.
 
-mod fixture;
-
 use std::path::Path;
 
+use crate::fixture::{catalog, charts, shipped, uri};
 use armarium_editor::lsp_types::{Position, Range, TextDocumentContentChangeEvent};
 use armarium_editor::{FileKind, Workspace, check, format};
 use armarium_source::{Disk, Layout, yaml};
-use fixture::{catalog, charts, shipped, uri};
 use proptest::prelude::*;
 
 /// Something that is typed at a place.

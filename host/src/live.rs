@@ -90,6 +90,8 @@ pub(crate) struct Gate(Arc<(Mutex<GateState>, Condvar)>);
 #[derive(Default)]
 struct GateState {
     closed: bool,
+    /// The run waits in front of it. After it closed, the run may go on for the rest of a step.
+    waits: bool,
     /// It closes after the next transition.
     steps: bool,
     /// There was that transition: it closes as soon as time goes on.
@@ -112,8 +114,10 @@ impl Gate {
         let (state, changed) = &*self.0;
         let mut state = state.lock();
         while state.closed && !state.ended {
+            state.waits = true;
             changed.wait(&mut state);
         }
+        state.waits = false;
     }
 
     /// Something happened; it may close the gate.
@@ -128,8 +132,9 @@ impl Gate {
         self.pass();
     }
 
-    fn is_closed(&self) -> bool {
-        self.0.0.lock().closed
+    fn holds(&self) -> bool {
+        let state = self.0.0.lock();
+        state.closed && state.waits && !state.ended
     }
 }
 
@@ -216,7 +221,7 @@ impl Control for Acting {
     }
 
     fn is_paused(&self) -> bool {
-        self.gate.is_closed()
+        self.gate.holds()
     }
 }
 

@@ -198,7 +198,7 @@ impl ShownRun for RemoteRun {
         false
     }
 
-    fn act(&self, _: Action) -> Result<bool, ActionRefused> {
+    fn act(&self, _: Action) -> Result<(), ActionRefused> {
         Err(ActionRefused { reason: "a page of another machine only looks".to_owned() })
     }
 }

@@ -1,7 +1,5 @@
 //! Two processes keep motions in one file at the same time: each opens it only for a moment, and nothing is lost.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead as _, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -98,7 +96,9 @@ fn exactly_one_process_gets_a_new_file() {
 
 fn start(writer: &str, file: &Path) -> Child {
     let mut program = Command::new(std::env::current_exe().unwrap());
-    program.args(["as_another_process", "--exact"]).env(CHILD, format!("{writer} {}", file.display()));
+    program
+        .args(["two_processes::as_another_process", "--exact"])
+        .env(CHILD, format!("{writer} {}", file.display()));
     program.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
 }
 

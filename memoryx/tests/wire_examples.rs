@@ -9,10 +9,7 @@ use std::process::Command;
 use armarium_bus::{Session, SessionConfig};
 use armarium_memoryx::{AgentMemory, MemoryConfig};
 
-#[path = "../../tests/src/outside.rs"]
-mod outside;
-
-use outside::not_run;
+use crate::outside::not_run;
 
 /// The Python blocks of the page, joined.
 fn examples(page: &str) -> String {

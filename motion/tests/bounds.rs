@@ -1,8 +1,6 @@
 //! For any finite input, every primitive and law stays finite and within its limits. Invalid input is refused by
 //! name and changes nothing.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
-
 use armarium_motion::{
     AdaptiveOscillator, Admittance, AdmittanceConfig, CoachConfig, CoachInput, CoachedMotion, DiscreteDmp,
     DiscreteDmpConfig, DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl, LearningControlConfig,

@@ -1,8 +1,6 @@
 //! The coaching experiment of Petrič et al. 2014, section III: a planar arm of three joints on a circle is coached in
 //! task space, and its joint motion changes (Figs 2-4).
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
-
 use std::f64::consts::{FRAC_PI_4, TAU};
 
 use armarium_motion::{Integrator, PeriodicDmp, PeriodicDmpConfig, PotentialField};

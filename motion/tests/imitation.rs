@@ -1,7 +1,5 @@
 //! A whole demonstration of a coach, as seen by a camera: rest, swipe, periodic part; noisy, jittery, at 15 Hz.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
-
 use std::f64::consts::TAU;
 
 use armarium_motion::{DemonstrationSegmenter, DemonstrationStage, Imitation, SegmenterConfig};

@@ -1,8 +1,6 @@
 //! Properties that must not change with time, size, phase or frame; and nothing jumps when a constant changes while
 //! a primitive runs. For every primitive and law of the crate.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
-
 use std::f64::consts::TAU;
 
 use armarium_motion::{

@@ -1,7 +1,5 @@
 //! On which signals the adaptive oscillator settles, how fast and how exactly; with and without an estimated start.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
-
 use std::f64::consts::TAU;
 
 use armarium_motion::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};

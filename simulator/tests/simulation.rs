@@ -1,6 +1,4 @@
 //! The whole simulator, from outside: repeatable, in virtual time, safe.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
-
 use std::sync::Arc;
 use std::time::Duration;
 

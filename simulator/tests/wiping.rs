@@ -1,7 +1,5 @@
 //! The physics of the task, end to end: a hand that knows the truth grasps the sponge, presses, wipes and is
 //! pushed.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
-
 use std::f64::consts::TAU;
 use std::sync::Arc;
 

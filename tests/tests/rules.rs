@@ -262,3 +262,55 @@ fn errors_of_library_rooms_have_types() {
     }
     assert_eq!(untyped, Vec::<String>::new());
 }
+
+/// The second parameters of all `Result<_, _>` in a text.
+fn error_types(text: &str) -> Vec<String> {
+    let parameters = |rest: &str| {
+        let (mut depth, mut parts, mut before) = (0, vec![String::new()], ' ');
+        for letter in rest.chars() {
+            match letter {
+                '<' | '(' | '[' => depth += 1,
+                // `->` closes nothing.
+                '>' if before == '-' => {}
+                '>' | ')' | ']' if depth == 0 => break,
+                '>' | ')' | ']' => depth -= 1,
+                ',' if depth == 0 => parts.push(String::new()),
+                _ => {}
+            }
+            if letter != ',' || depth > 0 {
+                parts.last_mut().expect("it has one").push(letter);
+            }
+            before = letter;
+        }
+        parts.get(1).map(|part| part.trim().to_owned())
+    };
+    text.split("Result<").skip(1).filter_map(parameters).filter(|part| !part.is_empty()).collect()
+}
+
+/// A library's errors are types, so that a program can tell them apart; only the command line may end in a bare text.
+#[test]
+fn libraries_have_no_errors_that_are_bare_text() {
+    let good = "fn a() -> Result<BTreeMap<String, String>, TreeError>; fn b(f: impl Fn(u8) -> Result<(), io::Error>)";
+    assert_eq!(error_types(good), ["TreeError", "io::Error"]);
+    let bad = "Result<\n    Vec<(u8, String)>,\n    String,\n>; Result<(), &'static str>";
+    assert_eq!(error_types(bad), ["String", "&'static str"]);
+    let root = repository::root();
+    let mut found = Vec::new();
+    for file in sources() {
+        let path = file.strip_prefix(&root).expect("it is in the repository");
+        let room = path.iter().next().and_then(|room| room.to_str()).unwrap_or("");
+        let is_library =
+            path.iter().nth(1).is_some_and(|folder| folder == "src") && room != "cli" && room != "tests";
+        let is_test =
+            path.file_stem().and_then(|stem| stem.to_str()).is_some_and(|stem| stem.ends_with("tests"))
+                || path.iter().any(|part| part == "tests" || part == "properties.rs");
+        if !is_library || is_test {
+            continue;
+        }
+        let errors = error_types(&code_of(&read(&file)));
+        let bare =
+            errors.into_iter().filter(|error| ["String", "&str", "&'static str"].contains(&error.as_str()));
+        found.extend(bare.map(|error| format!("{}: {error}", path.display())));
+    }
+    assert_eq!(found, Vec::<String>::new());
+}

@@ -9,10 +9,7 @@ use std::process::Command;
 use armarium_runtime::chart::{Library, Outline, load, load_text};
 use armarium_viewer::chart::{Format, Theme, render};
 
-#[path = "../../tests/src/outside.rs"]
-mod outside;
-
-use outside::not_run;
+use crate::outside::not_run;
 
 /// Names and texts that have a meaning in Mermaid's language.
 const ODD: &str = r#"statechart: Odd

@@ -1,7 +1,5 @@
 //! Frames between two real Zenoh sessions on loopback: through shared memory, over the network, compressed, lost and
 //! requested again, of changing size, and damaged.
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -47,10 +47,19 @@ fn bob(session: &Session) -> JoinHandle<Result<(), ServeError>> {
 
 /// Checks a chart with what other agents offer. Returns the program with its skills, or the findings.
 async fn checked(session: &Session, text: &str) -> Result<(Arc<crate::program::Program>, Registry), String> {
+    checked_within(session, text, Duration::from_secs(5)).await
+}
+
+/// The same; what is not there yet is waited for so long.
+async fn checked_within(
+    session: &Session,
+    text: &str,
+    within: Duration,
+) -> Result<(Arc<crate::program::Program>, Registry), String> {
     let library = chart::load_text("t.yaml", text, &[]);
     let agents = Agents::new(session.clone(), "test", Handle::current());
     let mut registry = Registry::new();
-    agents.resolve(&library.remote_names(), Duration::from_secs(5), &mut registry).await;
+    agents.resolve(&library.remote_names(), within, &mut registry).await;
     let checked = chart::check(&library, &registry, &ChannelSchema::new());
     let said: Vec<String> = checked.findings.iter().map(ToString::to_string).collect();
     checked.program.map(|program| (program, registry)).ok_or(said.join("\n"))
@@ -142,6 +151,8 @@ async fn what_does_not_fit_is_said_at_load() {
     let (one, two) = pair().await;
     let _bob = bob(&one);
     let one_state = |state: &str| format!("statechart: T\ninitial: A\nstates: {{A: {state}}}\n");
+    let there = one_state("{remote: bob/Dance, with: {steps: 1}}");
+    assert!(checked(&two, &there).await.is_ok(), "he is there, and waiting for him is over");
     for (state, said) in [
         ("{remote: bob/Dnce, with: {steps: 1}}", "did you mean `Dance`"),
         ("{remote: bob/Dance, with: {steps: many}}", "expected int"),
@@ -150,7 +161,8 @@ async fn what_does_not_fit_is_said_at_load() {
         ("{remote: bob/Dance, with: {steps: 1, speed: 2}}", "no input `speed`"),
         ("{remote: carol/Dance, with: {steps: 1}}", "no agent `carol` answers"),
     ] {
-        let found = checked(&two, &one_state(state)).await.map(|_| ()).unwrap_err();
+        let checked = checked_within(&two, &one_state(state), Duration::from_millis(300)).await;
+        let found = checked.map(|_| ()).unwrap_err();
         assert!(found.contains(said), "{state}: {found}");
     }
 }

@@ -79,7 +79,7 @@ pub trait Control: Send + Sync {
     /// [`ActionRefused`] with the reason.
     fn act(&self, action: Action) -> Result<(), ActionRefused>;
 
-    /// Whether time stands still.
+    /// Whether time stands still already: nothing new is told until it goes on.
     fn is_paused(&self) -> bool;
 }
 

@@ -94,7 +94,7 @@ impl RunSite {
             Err(answer) => return Ok(answer),
         };
         Ok(match run.act(action) {
-            Ok(paused) => json(format!("{{\"paused\":{paused}}}")),
+            Ok(()) => plain(StatusCode::OK, "done".to_owned()),
             Err(refused) => plain(StatusCode::CONFLICT, refused.to_string()),
         })
     }

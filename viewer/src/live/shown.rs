@@ -63,8 +63,8 @@ pub trait ShownRun: Send + Sync {
     /// Whether pages may act on it.
     fn may_act(&self) -> bool;
 
-    /// Acts on it. Says whether time stands still after it.
-    fn act(&self, action: Action) -> Result<bool, ActionRefused>;
+    /// Acts on it. What comes of it is told as news.
+    fn act(&self, action: Action) -> Result<(), ActionRefused>;
 }
 
 /// Gives the sections of a run's report as far as they are known.
@@ -232,12 +232,12 @@ impl ShownRun for ServedTimeline {
         self.shown.control.is_some()
     }
 
-    fn act(&self, action: Action) -> Result<bool, ActionRefused> {
+    fn act(&self, action: Action) -> Result<(), ActionRefused> {
         let Some(control) = &self.shown.control else {
             let reason = "this page only looks: `--live-control` lets it act".to_owned();
             return Err(ActionRefused { reason });
         };
-        control.act(action).map(|()| control.is_paused())
+        control.act(action)
     }
 }
 

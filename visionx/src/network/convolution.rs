@@ -1,7 +1,12 @@
 //! Convolutions: nearly all the time of a network goes into them.
 //!
 //! The loops are vectorised over channels of the output, never over the terms of a sum: each output is the sum of its terms in
-//! their order, with one rounding a product and one an addition. So the width of the machine's registers changes no bit.
+//! their order, with one rounding a product and one an addition. So the width of the machine's registers changes no bit. The vectors
+//! are written out, as what a compiler finds by itself hangs on how a crate is split for it.
+
+use std::ops::Range;
+
+use wide::f32x8;
 
 use super::NetworkError;
 use super::window::{ImageShape, Window};
@@ -117,16 +122,22 @@ impl Convolution {
 
 /// The sums of [`TILE`] pixels for [`LANES`] outputs.
 fn tile_sums(rows: [&[f32]; TILE], weights: &[[f32; LANES]], bias: &[f32; LANES]) -> [[f32; LANES]; TILE] {
-    let mut sums = [*bias; TILE];
+    let mut sums = [f32x8::from(*bias); TILE];
     let [a, b, c, d] = rows;
     for ((((weights, a), b), c), d) in weights.iter().zip(a).zip(b).zip(c).zip(d) {
-        for (sums, x) in sums.iter_mut().zip([a, b, c, d]) {
-            for (sum, weight) in sums.iter_mut().zip(weights) {
-                *sum += x * weight;
-            }
+        let weights = f32x8::from(*weights);
+        for (sum, x) in sums.iter_mut().zip([a, b, c, d]) {
+            *sum += f32x8::splat(*x) * weights;
         }
     }
-    sums
+    sums.map(f32x8::to_array)
+}
+
+/// [`LANES`] values from a place on.
+fn load(values: &[f32], first: usize) -> f32x8 {
+    let mut lanes = [0.0; LANES];
+    lanes.copy_from_slice(&values[first..first + LANES]);
+    f32x8::from(lanes)
 }
 
 /// A convolution of each channel by itself.
@@ -167,35 +178,46 @@ impl DepthwiseConvolution {
 
     pub(super) fn run(&self, input: &[f32], output: &mut [f32]) {
         let channels = self.window.input.channels;
-        let whole = channels - channels % LANES;
         for (place, sums) in output.chunks_exact_mut(channels).enumerate() {
-            let (lanes, _) = sums.as_chunks_mut::<LANES>();
-            for (i, sums) in lanes.iter_mut().enumerate() {
-                *sums = self.lanes(input, place, i * LANES);
+            let (pixels, rows) = self.covered(place);
+            let row = |(inputs, weights): (usize, Range<usize>)| {
+                (&input[inputs..][..weights.len()], &self.weights[weights])
+            };
+            let rows = || rows.clone().map(row);
+            let (lanes, rest) = sums.as_chunks_mut::<LANES>();
+            let whole = channels - rest.len();
+            for (first, sums) in (0..).step_by(LANES).zip(lanes) {
+                let mut sum = load(&self.bias, first);
+                for (inputs, weights) in rows() {
+                    for at in (first..).step_by(channels).take(pixels) {
+                        sum += load(inputs, at) * load(weights, at);
+                    }
+                }
+                *sums = sum.to_array();
             }
-            for (channel, sum) in sums.iter_mut().enumerate().skip(whole) {
-                let [value] = self.lanes(input, place, channel);
-                *sum = value;
+            for (first, sum) in (whole..).zip(rest) {
+                *sum = self.bias[first];
+                for (inputs, weights) in rows() {
+                    for at in (first..).step_by(channels).take(pixels) {
+                        *sum += inputs[at] * weights[at];
+                    }
+                }
             }
         }
         self.activation.apply(output);
     }
 
-    /// The sums at a place for `N` channels from `first` on.
-    fn lanes<const N: usize>(&self, input: &[f32], place: usize, first: usize) -> [f32; N] {
+    /// How many pixels of a row the window covers at a place; and of each row that it covers, where its inputs begin and which weights
+    /// are theirs.
+    fn covered(&self, place: usize) -> (usize, impl Iterator<Item = (usize, Range<usize>)> + Clone + use<>) {
         let ([rows, columns], [row, column]) = self.window.inside(place);
-        let (channels, width) = (self.window.input.channels, self.window.input.width);
-        let mut sums = [0.0; N];
-        sums.copy_from_slice(&self.bias[first..first + N]);
-        for (y, r) in rows.enumerate() {
-            let inputs = &input[((row + y) * width + column) * channels..][..columns.len() * channels];
-            let weights = &self.weights[(r * self.window.size[1] + columns.start) * channels..];
-            for (x, w) in inputs.chunks_exact(channels).zip(weights.chunks_exact(channels)) {
-                for ((sum, x), w) in sums.iter_mut().zip(&x[first..first + N]).zip(&w[first..first + N]) {
-                    *sum += x * w;
-                }
-            }
-        }
-        sums
+        let (channels, width, size) =
+            (self.window.input.channels, self.window.input.width, self.window.size[1]);
+        let (pixels, first) = (columns.len(), columns.start);
+        let covered = rows.enumerate().map(move |(y, r)| {
+            let weights = (r * size + first) * channels;
+            (((row + y) * width + column) * channels, weights..weights + pixels * channels)
+        });
+        (pixels, covered)
     }
 }

@@ -68,7 +68,12 @@ function bound() {
   if (run.spans.length > MOST_EVENTS * 1.2) run.spans.splice(0, run.spans.length - MOST_EVENTS);
 }
 
+// News that come while all is asked for are taken after it: the last of them is the newest.
+let loads = 0;
+const later = [];
+
 function takeNews(news) {
+  if (loads) { later.push(news); if (later.length > 1000) later.shift(); return; }
   const what = new Set(['time']);
   const next = run.from + run.events.length;
   if (news.from > next) return load();
@@ -84,7 +89,9 @@ function takeNews(news) {
 }
 
 export async function load() {
-  const all = await (await fetch('run')).json();
+  loads += 1;
+  let all;
+  try { all = await (await fetch('run')).json(); } finally { loads -= 1; }
   const { header, active, numbers, images, entities, ended, token, told: { paused } } = all;
   Object.assign(run, { header, numbers, images, ended, token, paused, events: [], from: all.from, spans: [], active: new Map(), open: new Map(),
     now: all.now_ns * 1e-9, poses: all.poses, last: all.last, entities: new Map(Object.entries(entities).filter(([, known]) => known)) });
@@ -94,6 +101,7 @@ export async function load() {
   for (const span of began) if (!run.open.has(span.state)) { run.open.set(span.state, span); run.spans.unshift(span); run.active.set(span.state, span.from); }
   if (isLive()) run.shown = run.poses; else askPoses(run.cursor);
   tell(new Set(['all']));
+  if (!loads) later.splice(0).forEach(takeNews);
 }
 
 // Browsers keep few connections to one place: of all tabs of a run one is told the news, and tells the others.
@@ -105,7 +113,8 @@ export async function connect() {
   const lead = () => new Promise((done) => {
     const source = new EventSource('news');
     source.onopen = () => { run.connected = true; tell(new Set(['connection'])); load(); };
-    source.onmessage = ({ data }) => { channel?.postMessage(data); takeNews(JSON.parse(data)); if (run.ended) { source.close(); done(); } };
+    source.onmessage = ({ data }) => { channel?.postMessage(data); takeNews(JSON.parse(data)); };
+    listen(() => { if (run.ended) { source.close(); done(); } });
     source.addEventListener('missed', () => { channel?.postMessage('missed'); load(); });
     source.onerror = () => { run.connected = false; tell(new Set(['connection'])); };
   });
@@ -115,6 +124,6 @@ export async function connect() {
 
 export async function act(action) {
   const answer = await fetch('act', { method: 'POST', headers: { 'x-armarium-token': run.token ?? '' }, body: JSON.stringify(action) });
-  if (answer.ok) { run.paused = (await answer.json()).paused; run.error = null; } else run.error = await answer.text();
+  run.error = answer.ok ? null : await answer.text();
   tell(new Set(['acted']));
 }
