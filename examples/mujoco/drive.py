@@ -26,6 +26,7 @@ import armarium
 import mujoco
 import numpy as np
 import yaml
+from person import Person
 
 STEP_S = 0.001
 SERVO_RAD_S = 120.0  # bandwidth of the servos; critically damped
@@ -34,8 +35,11 @@ NOISE_N, NOISE_NM = 0.05, 0.002  # of the wrist sensors; a reading that repeats 
 # The tool: pads on springs under the palm, so that it lies on a tilted table.
 TOOL_SIZE, TOOL_STIFFNESS, TOOL_MASS, TOOL_TRAVEL = (0.04, 0.10, 0.07), 2000.0, 0.15, 0.02
 PADS = (3, 2)
+# Pads with which two hands press on a load: plates on springs.
+PAD_MASS, PAD_DAMPED = 0.05, 0.2
 # Whom a shape touches: the robot what is around it, and not itself; objects touch everything.
 ROBOT, AROUND, LOOSE = (1, 2), (2, 1), (3, 3)
+PRESSED, PAD = (4, 2), (0, 4)  # objects that pads press, and touch nothing else of the robot
 OBJECT_FRICTION = 0.8
 OBJECT_S = 0.01  # time constant of contacts of objects
 TOLD_EVERY = 10  # samples, of which one tells where objects are
@@ -71,6 +75,18 @@ class RobotFile:
                 self.efforts[str(joint.get("name"))] = effort
         self.joints = list(self.efforts)
         self.wrenches = {name: wrench["frame"] for name, wrench in self.file.get("wrenches", {}).items()}
+
+    def press_frames(self) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
+        """The hands that have a face to press with: the hand's name, the TCP, and the face's place and turn there."""
+        found = []
+        for group in self.file.get("groups", {}).values():
+            press = self.file.get("hands", {}).get(group.get("hand"), {}).get("press_in_tcp")
+            if press and "tcp" in group:
+                quat = np.zeros(4)
+                # URDF's and ROS's order: about the fixed x, y and z.
+                mujoco.mju_euler2Quat(quat, [math.radians(number(angle)) for angle in press.get("rpy_deg", [0, 0, 0])], "XYZ")
+                found.append((group["hand"], group["tcp"], np.array([number(v) for v in press["position"]]), quat))
+        return found
 
     def posture(self, name: str | None) -> dict[str, float]:
         """The positions of a posture; joints that it does not name are at 0."""
@@ -111,11 +127,15 @@ def specified(robot: RobotFile, world: argparse.Namespace) -> mujoco.MjSpec:
         for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
             spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
     add_table(spec, world)
+    for press in robot.press_frames() if world.pads else []:
+        add_pad(spec, world.pads, press)
     for thing in world.objects:
         add_object(spec, world, thing)
     if world.objects:
         # What is held by friction does not creep.
         spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+    if world.person:
+        world.person.add(spec)
     if world.sponge:
         add_tool(spec, *robot.tool_frame(world.sponge), friction=world.friction)
     return spec
@@ -150,8 +170,8 @@ def add_object(spec: mujoco.MjSpec, world: argparse.Namespace, thing: dict[str, 
         condim=4,
         priority=1,
         solref=[OBJECT_S, 1.0],
-        contype=LOOSE[0],
-        conaffinity=LOOSE[1],
+        contype=(PRESSED if world.pads else LOOSE)[0],
+        conaffinity=(PRESSED if world.pads else LOOSE)[1],
     )
 
 
@@ -200,6 +220,34 @@ def add_tool(spec: mujoco.MjSpec, tcp: str, held: np.ndarray, friction: float) -
         )
 
 
+def add_pad(spec: mujoco.MjSpec, pads: dict[str, Any], press: tuple[str, str, np.ndarray, np.ndarray]) -> None:
+    """A plate that gives way along its normal, x of the face with which a hand presses. Objects touch no other part of the hands."""
+    hand, tcp, place, turn = press
+    thick, half = number(pads.get("thickness", 0.03)), [number(edge) for edge in pads.get("half", [0.08, 0.09])]
+    stiffness = number(pads.get("stiffness", 6000.0))
+    pad = spec.body(tcp).add_body(name=f"pad_{hand}", pos=place, quat=turn)
+    pad.add_joint(
+        name=f"pad_{hand}",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[-1.0, 0.0, 0.0],
+        stiffness=[stiffness],
+        damping=[2.0 * PAD_DAMPED * math.sqrt(stiffness * 1.0)],
+        limited=True,
+        range=[-0.001, thick],
+    )
+    pad.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[-thick / 2, 0.0, 0.0],
+        size=[thick / 2, *half],
+        mass=PAD_MASS,
+        friction=[number(pads.get("friction", 0.9)), 0.005, 0.0001],
+        condim=4,
+        priority=2,
+        contype=PAD[0],
+        conaffinity=PAD[1],
+    )
+
+
 class MujocoRobot(armarium.Driver):
     """A robot in MuJoCo. In lockstep time passes in `apply`, else in `sample`."""
 
@@ -226,6 +274,8 @@ class MujocoRobot(armarium.Driver):
         self.held = self.data.qpos[self.at].copy()
         self.holds = True
         self._command(self.held, np.zeros(len(self.held)))
+        self.person, self.led = world.person, robot.tool_frame(world.lead)[0] if world.lead else ""
+        self.pads = [f"pad_{hand}" for hand, *_ in robot.press_frames()] if world.pads else []
         self.truth = world.truth.open("w") if world.truth else None
         self.samples = 0
 
@@ -245,9 +295,20 @@ class MujocoRobot(armarium.Driver):
 
     def _step(self) -> None:
         self.data.qfrc_applied[self.dof] = self.data.qfrc_bias[self.dof]
+        if self.person:
+            self.person.act(self.model, self.data, self.led)
         mujoco.mj_step(self.model, self.data)
         if self.truth is not None:
-            self.truth.write(f"{self.data.time:.3f},{self.pressing():.4f}\n")
+            print(f"{self.data.time:.3f}", *(f"{value:.6f}" for value in self.true()), sep=",", file=self.truth)
+
+    def true(self) -> list[float]:
+        """What `--truth` writes of a step."""
+        if self.person:
+            return [self.person.force_n, self.person.behind_m, *self.data.body(self.led).xpos]
+        if self.pads:
+            pressed = [self.data.joint(pad).qpos[0] * self.model.joint(pad).stiffness[0] for pad in self.pads]
+            return [*pressed, *(value for name in self.bodies for part in self.pose(name) for value in part)]
+        return [self.pressing()]
 
     def pressing(self) -> float:
         """The normal force on the table, N, as it truly is."""
@@ -301,13 +362,16 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--size", type=float, nargs=2, default=[1.0, 0.7], help="of the table, m")
     parser.add_argument("--tilt", type=float, nargs=2, default=[1.0, -1.5], help="about x and y, degrees")
     parser.add_argument("--friction", type=float, default=0.5)
-    parser.add_argument("--truth", type=Path, metavar="FILE", help="writes time (s) and force on the table (N) of each step")
-    parser.add_argument("--seed", type=int, default=1, help="of the sensors' noise")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="writes the truth of each step: time (s), force on the table (N)")
+    parser.add_argument("--lead", metavar="ARM", help="a person takes the hand of an arm and leads it; then the truth is their force (N), how far their hand is from where they want it (m), and where the TCP is (m)")
+    parser.add_argument("--seed", type=int, default=1, help="of the sensors' noise, and of what a person does")
     given = parser.parse_args()
-    given.objects = []
+    given.objects, given.pads = [], None
+    given.person = Person(given.seed) if given.lead else None
     if given.world:
         placed = yaml.safe_load(given.world.read_text())
-        table, given.objects = placed.get("table", {}), placed.get("objects", [{"name": "sponge"}])
+        table, given.pads = placed.get("table", {}), placed.get("robot", {}).get("pads")
+        given.objects = placed.get("objects", [{"name": "sponge"}]) + placed.get("bodies", [])
         given.height = number(table.get("height", 0.95))
         given.center = [number(value) for value in table.get("center", [0.25, 0.60])]
         given.size = [number(value) for value in table.get("size", [1.0, 0.7])]
