@@ -9,11 +9,12 @@ use std::sync::Arc;
 use armarium_motion::{LinePoint, StraightLine};
 use armarium_robot::{
     DifferentialIk, IkConfig, Jacobian, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model,
-    Robot, Sensed, Twist, newest, pose_error,
+    PoseOptions, Robot, Sensed, Twist, newest, pose_error, solve_pose,
 };
 use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
 use armarium_values::Type;
 use nalgebra::{Isometry3, Point3, Vector3, Vector6};
+use rand_chacha::ChaCha8Rng;
 use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
@@ -234,6 +235,22 @@ impl LeasedArm {
     /// From now on the null space pulls towards these joint positions.
     pub(crate) fn pull_towards(&mut self, posture: &[f64]) {
         self.posture.copy_from_slice(posture);
+    }
+
+    /// From now on the null space pulls towards how the arm reaches a pose (root frame), if it does: on the way there alone it may come to
+    /// a posture from which it does not go on.
+    pub(crate) fn pull_towards_pose(
+        &mut self,
+        sample: &Sensed,
+        root_from_tcp: &Isometry3<f64>,
+        random: &mut ChaCha8Rng,
+    ) {
+        let (joints, options) = (&self.leases.joints, PoseOptions::default());
+        let solved =
+            solve_pose(&self.model, self.tcp, joints, root_from_tcp, &sample.position, &options, random);
+        if let Ok(solved) = solved {
+            self.posture = joints.iter().map(|&joint| solved[joint]).collect();
+        }
     }
 
     /// The positions of its joints at a sample, in their order.

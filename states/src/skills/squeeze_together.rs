@@ -5,8 +5,8 @@ use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, Skill
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit as UnitVector, UnitQuaternion, Vector3};
 
-use crate::arm::Senses;
-use crate::both::{BothArms, STIFFNESS, at_rest, config, moves_both, squeezes};
+use crate::arm::{Senses, tcp_of};
+use crate::both::{BothArms, STIFFNESS, arms, at_rest, config, moves_both, squeezes};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::motions::failed;
@@ -46,9 +46,19 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let config = config(&equipment, &context)?;
     let (class, object) = equipment.remembered().thing(&context.entity("object")?).await?;
-    let mut both = BothArms::take(&equipment, &context, &[], Holding::Pressing).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
+    let model = equipment.robot.model();
+    let mut motions = Vec::new();
+    for arm in arms(model)? {
+        let now = model.link_pose(&senses.newest().position, tcp_of(arm)?);
+        motions.push(object.translation.vector - now.translation.vector);
+    }
+    let mut both = BothArms::take(&equipment, &context, &motions, Holding::Pressing).await?;
     let sides = sides(&object, &class.size.into(), &both.faces(&senses.newest()));
+    for (hand, side) in sides.iter().enumerate() {
+        let pressing = both.tcp_at(hand, side);
+        both.arm(hand).pull_towards_pose(&senses.newest(), &pressing, &mut equipment.random());
+    }
     go_beside(&mut both, &mut senses, &sides).await?;
     touch(&mut both, &mut senses, &sides).await?;
     let (force, stiffness) = squeeze(&mut both, &mut senses, config).await?;
