@@ -36,6 +36,15 @@ fn two_hands_learn_to_lift_and_shake_a_box_and_go_on_from_there_the_next_day() {
     assert!(figure(&second, "first_rms_m") < 0.2 * figure(&first, "first_rms_m"));
 }
 
+/// Fingers come nearer to the table than the guard lets them come to what nobody works on.
+#[test]
+fn hands_come_beside_a_low_box() {
+    let chart = armarium_tests::repository::root().join("statecharts/learn_together.yaml");
+    let ended =
+        ended(RunConfig { seed: 60, inputs: vec![("epochs".into(), "1".into())], ..RunConfig::new(&chart) });
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+}
+
 /// A run of a shipped chart in the world beside it, changed by `edit`.
 fn carried(chart: &str, seed: u64, edit: impl Fn(String) -> String) -> RunEnded {
     let folder = tempfile::tempdir().unwrap();

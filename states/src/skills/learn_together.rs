@@ -41,8 +41,10 @@ const FADES: f64 = 0.8;
 const BACK: f64 = 0.08;
 /// Cut-off frequency of the filter on what the hands feel, Hz.
 const FILTER: f64 = 20.0;
-/// (11): what is learned of the last epoch, and the feedback within one.
+/// (11): what is learned of the last epoch, and the feedback within one, in task and in joint space: with more feedback to the joints the
+/// discrete part falls less.
 const LEARNING: LearningControlConfig = LearningControlConfig { q: 1.0, l: 0.3, c: 0.3 };
+const LEARNING_JOINTS: LearningControlConfig = LearningControlConfig { c: 0.15, ..LEARNING };
 /// K1 of (10), m/s/N.
 const K1: f64 = 0.08;
 /// How much more the hands press than with what a friction needs.
@@ -182,8 +184,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         HandMotion::demonstrated(both.arm(hand), &sample, task.space, task.path(hand), task.periods)
     };
     let mut motions = [motion(0)?, motion(1)?];
+    let learning = match task.space {
+        Space::Task => LEARNING,
+        Space::Joint => LEARNING_JOINTS,
+    };
     let control =
-        LearningControl::new(LEARNING, motions[0].primitive.dofs(), MOST_SAMPLES).map_err(failed)?;
+        LearningControl::new(learning, motions[0].primitive.dofs(), MOST_SAMPLES).map_err(failed)?;
     let name = context.text("name")?;
     let known = match name {
         "" => None,
