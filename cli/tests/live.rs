@@ -195,8 +195,7 @@ fn strangers_are_refused_and_harm_nothing() {
     let crowd: Vec<_> = (0..1_000).filter_map(|_| TcpStream::connect(&host).ok()).collect();
     drop(crowd);
     // As soon as the server has seen that they are gone.
-    let gone = std::time::Instant::now();
-    while status(&run.get("/", "")) == "none" && gone.elapsed() < Duration::from_secs(10) {}
+    assert!((0..10_000).any(|_| status(&run.get("/", "")) == "200"));
     assert_eq!(status(&act(&token, r#"{"do":"event","name":"enough"}"#)), "200");
     let report = run.report();
     assert_eq!(report["outcome"], "success");
