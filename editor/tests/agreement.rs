@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use crate::fixture::{catalog, charts, shipped, uri};
 use armarium_editor::lsp_types::{Position, Range, TextDocumentContentChangeEvent};
 use armarium_editor::{FileKind, Workspace, check, format};
 use armarium_source::{Disk, Layout, yaml};
 use proptest::prelude::*;
+
+use crate::fixture::{catalog, charts, shipped, uri};
 
 /// Something that is typed at a place.
 #[derive(Clone, Debug)]

@@ -1,10 +1,11 @@
 //! What an editor is told: completion, hover, definitions, references, renames, fixes, symbols.
 
-use crate::fixture::OpenProject;
 use armarium_editor::RenameError;
 use armarium_editor::lsp_types::{
     CompletionTextEdit, DocumentChanges, HoverContents, OneOf, Range, WorkspaceEdit,
 };
+
+use crate::fixture::{self, OpenProject};
 
 const PARTS: &str = "\
 statechart: Parts
@@ -419,7 +420,7 @@ fn other_files_and_lost_files_are_no_errors() {
     let (uri, _) = project.open("whole.yaml", WHOLE);
     assert_eq!(project.workspace.findings(&uri), []);
     std::fs::remove_file(project.folder.path().join("parts.yaml")).expect("it was there");
-    project.workspace.close(&crate::fixture::uri(&project.folder.path().join("parts.yaml")));
+    project.workspace.close(&fixture::uri(&project.folder.path().join("parts.yaml")));
     assert_eq!(project.workspace.findings(&uri).iter().map(|f| f.code).collect::<Vec<_>>(), ["E011"]);
     // A text that was never saved stands for the file.
     project.open("parts.yaml", PARTS);

@@ -68,21 +68,22 @@ def main() -> None:
     parser.add_argument("--report", type=Path, help="where the reports are left")
     # All other options are those of drive.py, such as --clock realtime.
     given, around = parser.parse_known_args()
-    missed: dict[int, Any] = {}
+    missed: dict[int, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(1, given.seeds + 1) or [0]:
             placed = drawn(given.world, seed) if seed else yaml.safe_load(given.world.read_text())
             try:
                 found = carry(given.armarium, placed, (given.report or Path(folder)) / str(seed), around)
             except SystemExit as failed:
-                missed[seed] = str(failed)
+                print(f"{seed}: {failed}", flush=True)
+                missed[seed] = ["the run"]
                 continue
             print(f"{seed}:", ", ".join(f"{name} {value:.3f}" for name, (value, _) in found.items()), flush=True)
             wrong = [name for name, (_, good) in found.items() if not good]
             if wrong:
                 missed[seed] = wrong
     if missed:
-        raise SystemExit(f"not as it is to be: {missed}")
+        raise SystemExit("not as it is to be: " + "; ".join(f"{seed}: {', '.join(wrong)}" for seed, wrong in missed.items()))
 
 
 if __name__ == "__main__":

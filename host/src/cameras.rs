@@ -10,7 +10,8 @@ use armarium_simulator::World;
 use armarium_simulator::cameras::{DistantCameras, Scenery, ScenerySink};
 use armarium_visionx::ImageSource;
 use armarium_visionx::providers::{
-    Delivery, ImageCoding, ProviderDescription, RemoteProvider, StereoView, channel, frame_of, offer,
+    Delivery, ImageCoding, ProviderDescription, RawFrame, RemoteProvider, StereoView, channel, frame_of,
+    offer,
 };
 use tokio::sync::watch;
 
@@ -70,12 +71,7 @@ pub async fn serve_cameras(
     let mut refused = false;
     loop {
         let message = scenery.next().await;
-        let drawn = SCENERY
-            .check(&message.encoding)
-            .and_then(|()| decode::<Scenery>(message.payload.as_ref()))
-            .map_err(|e| e.to_string())
-            .and_then(|scenery| cameras.draw(&scenery).map_err(|e| e.to_string()))
-            .and_then(|stereo| frame_of(&stereo, 0, &frame_id).map_err(|e| e.to_string()));
+        let drawn = drawn(&mut cameras, &message.encoding, message.payload.as_ref(), &frame_id);
         // Said once until a scene is drawn again: a run with another world sends the wrong one with each frame.
         let was_refused = std::mem::replace(&mut refused, drawn.is_err());
         match drawn {
@@ -84,6 +80,18 @@ pub async fn serve_cameras(
             Err(_) => {}
         }
     }
+}
+
+/// What the cameras see of a scene that was sent.
+fn drawn(
+    cameras: &mut DistantCameras,
+    encoding: &str,
+    payload: &[u8],
+    frame_id: &str,
+) -> Result<RawFrame, Box<dyn std::error::Error + Send + Sync>> {
+    SCENERY.check(encoding)?;
+    let stereo = cameras.draw(&decode::<Scenery>(payload)?)?;
+    Ok(frame_of(&stereo, 0, frame_id)?)
 }
 
 fn scenery_key(name: &str) -> Result<Key, HostError> {

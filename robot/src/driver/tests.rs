@@ -8,8 +8,7 @@ use std::time::Duration;
 use armarium_bus::{Payload as _, Session, SessionConfig};
 use tokio::runtime::{Builder, Runtime};
 
-use super::gate::{Gate, GateRefusal};
-use super::wire::{Claim, Keys, WireSample, WireTargets};
+use super::wire::{Keys, WireSample, WireTargets};
 use super::{
     Driver, DriverClock, DriverError, DriverServer, DryDriver, GuardedDriver, RemoteDriver, TimedSample,
 };
@@ -293,7 +292,7 @@ impl Driver for BrakedAtFirst {
     }
     fn sample(&mut self) -> Result<TimedSample, DriverError> {
         let timed = self.0.sample()?;
-        Ok(TimedSample { braked: timed.stamp_ns <= self.1 * MS, ..timed })
+        Ok(TimedSample { braked: timed.stamp_ns <= self.1 * 1_000_000, ..timed })
     }
     fn apply(&mut self, targets: &JointTargets) -> Result<(), DriverError> {
         self.0.apply(targets)
@@ -462,8 +461,10 @@ fn targets_of_another_version_are_refused_with_the_reason() {
     });
     let _reader = network.threads.block_on(reader).unwrap();
     let other = WireTargets::SCHEMA.encoding().replace(";v1", ";v2");
+    let (commander, position, velocity) = ("a".to_owned(), vec![0.1, 0.2], vec![0.0, 0.0]);
+    let targets = written(&WireTargets { commander, epoch: 7, number: 1, position, velocity }).1;
     let reason = loop {
-        network.threads.block_on(network.guarding.put(&key, &other, written(&targets("a", 1)).1)).unwrap();
+        network.threads.block_on(network.guarding.put(&key, &other, targets.clone())).unwrap();
         // The link may not know the driver yet.
         if let Ok(reason) = told.recv_timeout(std::time::Duration::from_millis(100)) {
             break reason;
@@ -515,90 +516,4 @@ fn a_clock_that_goes_back_ends_a_driver_with_the_reason() {
         Err(LeaseError::Stopped { reason: clock.to_string() }),
         "a reset brings no driver back"
     );
-}
-
-const MS: u64 = 1_000_000;
-
-fn targets(commander: &str, number: u64) -> WireTargets {
-    let (position, velocity) = (vec![0.1, 0.2], vec![0.0, 0.0]);
-    WireTargets { commander: commander.into(), epoch: 7, number, position, velocity }
-}
-
-fn claim(commander: &str) -> Claim {
-    Claim { commander: commander.into(), caller: commander.into() }
-}
-
-/// A driver of two joints in real time that `a` has claimed, and that has sent the samples 0 to 100.
-fn gate() -> Gate {
-    let mut gate = Gate::new(2, DriverClock::Realtime, MS, 7);
-    gate.claim(claim("a"), 0).unwrap();
-    (0..=100).for_each(|number| drop(gate.begin_sample(number, MS)));
-    gate.offer(targets("a", 90), MS);
-    assert!(gate.take().is_some());
-    gate
-}
-
-#[test]
-fn targets_that_do_not_fit_are_refused_with_a_reason() {
-    let with = |change: fn(&mut WireTargets)| {
-        let mut changed = targets("a", 95);
-        change(&mut changed);
-        changed
-    };
-    for (offered, reason) in [
-        (targets("b", 95), "somebody else than `a`"),
-        (targets("a", 90), "which was answered"),
-        (targets("a", 89), "or is older than that"),
-        (targets("a", 101), "has not been sent"),
-        (with(|t| t.epoch = 6), "another start"),
-        (with(|t| t.position.push(0.0)), "3 positions and 2 velocities for 2 joints"),
-        (with(|t| t.velocity[1] = f64::NAN), "not finite"),
-        (with(|t| t.position[0] = f64::INFINITY), "not finite"),
-    ] {
-        let mut gate = gate();
-        gate.offer(offered.clone(), MS);
-        assert!(gate.take().is_none(), "{offered:?}");
-        let (_, refused) = gate.begin_sample(101, MS);
-        assert!(
-            refused.as_ref().is_some_and(|said| said.to_string().contains(reason)),
-            "{refused:?} {reason}"
-        );
-        gate.offer(targets("a", 101), MS);
-        assert!(gate.take().is_some(), "what fits is taken after {reason}");
-    }
-    let mut late = gate();
-    (101..=160).for_each(|number| drop(late.begin_sample(number, MS)));
-    late.offer(targets("a", 101), MS);
-    assert!(late.begin_sample(161, MS).1.unwrap().to_string().contains("a sample that is 59 ms old"));
-}
-
-#[test]
-fn after_it_has_braked_only_who_knows_that_commands() {
-    let mut gate = gate();
-    assert!(!gate.begin_sample(101, 51 * MS).0);
-    assert!(gate.begin_sample(102, 52 * MS).0, "51 ms after the last targets");
-    gate.offer(targets("a", 101), 52 * MS);
-    assert!(gate.take().is_none());
-    assert!(gate.begin_sample(103, 53 * MS).1.unwrap().to_string().contains("from before the joints braked"));
-    gate.offer(targets("a", 102), 53 * MS);
-    assert!(gate.take().is_some() && !gate.begin_sample(104, 54 * MS).0);
-}
-
-#[test]
-fn a_driver_has_one_commander_until_he_is_silent() {
-    let mut gate = gate();
-    assert_eq!(gate.claim(claim("b"), 1000 * MS), Err(GateRefusal::Commanded { by: "a".into() }));
-    for nobody in ["", &"x".repeat(201)] {
-        assert_eq!(gate.claim(claim(nobody), 5000 * MS), Err(GateRefusal::Name));
-    }
-    assert_eq!(gate.claim(claim("a"), 1000 * MS), Ok(()), "who asks again has it still");
-    assert_eq!(gate.claim(claim("b"), 2002 * MS), Ok(()));
-    assert!(gate.begin_sample(101, 2002 * MS).0, "a new commander begins with joints that stand");
-    gate.offer(targets("a", 101), 2002 * MS);
-    assert!(gate.take().is_none());
-    gate.release("a");
-    gate.offer(targets("b", 101), 2002 * MS);
-    assert!(gate.take().is_some(), "only who has it can give it back");
-    gate.release("b");
-    assert_eq!(gate.claim(claim("a"), 2003 * MS), Ok(()));
 }

@@ -25,12 +25,13 @@ impl Engine {
     pub(super) fn event(&mut self, name: &str, data: Value, turn: &mut Turn<'_>) {
         let program = turn.program;
         let converted = match program.event_types.get(name) {
-            Some(ty) => ty.convert(data).map_err(|error| format!("the data of `{name}`: {error}")),
+            Some(ty) => ty.convert(data),
             None => Ok(data),
         };
         match converted {
             Ok(data) => self.queue(Event::named(program, name, data), turn),
-            Err(reason) => {
+            Err(error) => {
+                let reason = format!("the data of `{name}`: {error}");
                 turn.trace(|_| TraceItem::Dropped { name: name.to_owned(), reason: reason.clone() });
                 let data = Value::record([("reason", reason.into())]);
                 self.queue(Event::named(program, "error.communication", data), turn);
@@ -77,21 +78,17 @@ impl Engine {
         let program = turn.program;
         let running = self.skills.iter().find(|(_, state)| program.path(**state) == path);
         let running = running.map(|(activation, state)| (*activation, *state));
-        let chosen = match running.map(|(activation, state)| (activation, state, &program.state(state).kind))
+        let reason = match running.map(|(activation, state)| (activation, state, &program.state(state).kind))
         {
             Some((activation, state, Kind::Skill { manifest })) if manifest.has_outcome(&outcome) => {
-                Ok((activation, state, manifest.grace))
-            }
-            Some(_) => Err(format!("the skill of `{path}` has no such outcome")),
-            None => Err(format!("no skill runs in `{path}`")),
-        };
-        match chosen {
-            Ok((activation, state, grace)) => {
                 self.extra(state).chosen = Some(outcome);
-                turn.out.push(Effect::Cancel { activation, grace });
+                turn.out.push(Effect::Cancel { activation, grace: manifest.grace });
+                return;
             }
-            Err(reason) => turn.trace(|_| TraceItem::Dropped { name: outcome, reason }),
-        }
+            Some(_) => format!("the skill of `{path}` has no such outcome"),
+            None => format!("no skill runs in `{path}`"),
+        };
+        turn.trace(|_| TraceItem::Dropped { name: outcome, reason });
     }
 
     pub(super) fn skill_ended(&mut self, activation: u64, result: SkillResult, turn: &mut Turn<'_>) {

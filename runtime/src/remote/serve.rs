@@ -66,11 +66,11 @@ pub(super) async fn respond<P: Payload>(
     key: &Key,
     answer: Result<P, impl fmt::Display>,
 ) {
-    let answer = answer.map_err(|error| error.to_string());
-    let message = answer.and_then(|message| packed(&message).map_err(|error| error.to_string()));
-    let sent = match message {
+    let refusal = |error: &dyn fmt::Display| Refusal { reason: error.to_string() };
+    let answer = answer.map_err(|error| refusal(&error));
+    let sent = match answer.and_then(|message| packed(&message).map_err(|error| refusal(&error))) {
         Ok((encoding, bytes)) => question.reply(key, &encoding, bytes).await,
-        Err(reason) => match packed(&Refusal { reason }) {
+        Err(refusal) => match packed(&refusal) {
             Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
             Err(_) => return,
         },

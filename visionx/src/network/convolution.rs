@@ -179,11 +179,11 @@ impl DepthwiseConvolution {
     pub(super) fn run(&self, input: &[f32], output: &mut [f32]) {
         let channels = self.window.input.channels;
         for (place, sums) in output.chunks_exact_mut(channels).enumerate() {
-            let (pixels, rows) = self.covered(place);
+            let (pixels, covered) = self.covered(place);
             let row = |(inputs, weights): (usize, Range<usize>)| {
                 (&input[inputs..][..weights.len()], &self.weights[weights])
             };
-            let rows = || rows.clone().map(row);
+            let rows = || covered.clone().map(row);
             let (lanes, rest) = sums.as_chunks_mut::<LANES>();
             let whole = channels - rest.len();
             for (first, sums) in (0..).step_by(LANES).zip(lanes) {

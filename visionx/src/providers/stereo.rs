@@ -83,9 +83,10 @@ impl StereoView {
     /// [`ImageError::Spoilt`] when it is not calibrated as a pair of identical, parallel cameras.
     pub fn new(provider: Arc<dyn ImageProvider>) -> Result<Self, ImageError> {
         let described = provider.description();
-        let pair = StereoPair::of(&described).map_err(|what| what.to_string());
-        let pair = pair.map_err(|what| ImageError::Spoilt { provider: described.name, what })?;
-        Ok(Self { provider, pair })
+        match StereoPair::of(&described) {
+            Ok(pair) => Ok(Self { provider, pair }),
+            Err(error) => Err(ImageError::Spoilt { provider: described.name, what: error.to_string() }),
+        }
     }
 }
 

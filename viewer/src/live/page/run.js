@@ -1,6 +1,7 @@
 // The run as the page knows it: what it was told, and what was the case at a time. It draws nothing.
 
 const MOST_EVENTS = 20000;
+const MOST_LATER = 1000;
 const listeners = new Set();
 export const run = {
   header: {}, events: [], from: 0, spans: [], now: 0, cursor: null, active: new Map(), poses: {}, shown: {}, last: {}, numbers: {},
@@ -73,7 +74,7 @@ let loads = 0;
 const later = [];
 
 function takeNews(news) {
-  if (loads) { later.push(news); if (later.length > 1000) later.shift(); return; }
+  if (loads) { later.push(news); if (later.length > MOST_LATER) later.shift(); return; }
   const what = new Set(['time']);
   const next = run.from + run.events.length;
   if (news.from > next) return load();

@@ -217,10 +217,12 @@ impl ImageProvider for RecordingProvider {
             sleep_until(began + seconds(since_s / speed)).await;
         }
         let number = play.number;
-        let frame =
-            tokio::task::spawn_blocking(move || message.frame().map_err(|error| error.to_string())).await;
-        let frame = frame.unwrap_or_else(|error| Err(error.to_string()));
-        let frame = frame.map_err(|what| ImageError::Spoilt { provider: provider(), what })?;
+        let spoilt = |error: &dyn std::error::Error| ImageError::Spoilt {
+            provider: provider(),
+            what: error.to_string(),
+        };
+        let frame = tokio::task::spawn_blocking(move || message.frame()).await;
+        let frame = frame.map_err(|error| spoilt(&error))?.map_err(|error| spoilt(&error))?;
         Ok(Arc::new(RawFrame { number, stamp_ns, ..frame }))
     }
 }
