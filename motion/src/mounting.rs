@@ -49,9 +49,9 @@ impl CameraMounting {
         Self { believed_from_camera, seen: [None; 2], pictures: 0 }
     }
 
-    /// How the camera is turned in the frame of its believed pose.
-    pub fn rotation(&self) -> UnitQuaternion<f64> {
-        self.believed_from_camera.rotation
+    /// The camera's true pose in the frame of its believed one.
+    pub fn believed_from_camera(&self) -> Isometry3<f64> {
+        self.believed_from_camera
     }
 
     /// Whether both markers have shown how the camera is turned.
@@ -152,6 +152,6 @@ mod tests {
             in_root: Point3::origin(),
         };
         assert!(mounting.see(0, view).is_err());
-        assert!(mounting.rotation().angle() < 1e-12 && !mounting.known());
+        assert!(mounting.believed_from_camera().rotation.angle() < 1e-12 && !mounting.known());
     }
 }

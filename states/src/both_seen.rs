@@ -10,6 +10,7 @@ use armarium_robot::{LinkId, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use tokio::sync::watch;
 
 use crate::arm::{seconds, tcp_of};
 use crate::both::arms;
@@ -22,7 +23,7 @@ use crate::surface::ContactPlane;
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
 const VISIBLE: f64 = 0.35;
 /// Of a hand's marker, as much as this.
-const MARKER_VISIBLE: f64 = 0.95;
+const MARKER_VISIBLE: f64 = 0.99;
 /// The weight of a new detection.
 const WEIGHT: f64 = 0.3;
 /// Where the cameras turn faster than this, rad/s, the errors of stamps count: such a frame shows no hand.
@@ -79,6 +80,8 @@ pub(crate) struct BothSeen {
     /// None for one that goes by memory and joints alone.
     sight: Option<Sight>,
     mounting: CameraMounting,
+    /// Tells who follows the thing how the cameras are mounted.
+    mounting_shown: watch::Sender<Isometry3<f64>>,
     /// The thing's pose (root frame), and when it was seen, ns.
     object: Isometry3<f64>,
     object_at_ns: u64,
@@ -127,7 +130,8 @@ impl BothSeen {
         let hands = [seen_hand(first, one)?, seen_hand(second, other)?];
         let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
         let localizer = localizer.standing_on(surface.rotation());
-        let step = ObjectStep::new(localizer, THING).following(shown);
+        let mounting_shown = watch::Sender::new(mounting.believed_from_camera());
+        let step = ObjectStep::new(localizer, THING).following(shown, left, mounting_shown.subscribe());
         let mut steps: Vec<Box<dyn StereoStep>> = vec![Box::new(step)];
         for (limb, name) in [first, second].into_iter().zip(HANDS) {
             let marker = marker(model, limb)?;
@@ -137,6 +141,7 @@ impl BothSeen {
             sight: looks.then(|| equipment.look(steps)),
             equipment: equipment.clone(),
             mounting,
+            mounting_shown,
             object,
             object_at_ns: sample.stamp_ns,
             hands,
@@ -169,6 +174,7 @@ impl BothSeen {
         if steady {
             shifts = self.look_for_hands(&frame)?;
         }
+        self.mounting_shown.send_replace(self.mounting.believed_from_camera());
         let from_shown = self.mounting.from_shown(&frame.root_from_left);
         let object = self.look_for_object(&frame, &from_shown);
         for (i, shift) in shifts.into_iter().enumerate() {

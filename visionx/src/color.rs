@@ -104,8 +104,9 @@ impl ColorModel {
         mask
     }
 
+    /// Whether a pixel has the colour.
     #[inline]
-    fn accepts(&self, rgb: [u8; 3]) -> bool {
+    pub(crate) fn accepts(&self, rgb: [u8; 3]) -> bool {
         let [r, g, b] = rgb.map(f32::from);
         let [u, v, w] = self.direction;
         let along = r * u + g * v + b * w;

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Point2};
 
+use crate::frame::RgbImage;
 use crate::mask::{Mask, PixelRun, Region};
 
 /// A connected component (8-neighbours) of a mask.
@@ -73,6 +74,11 @@ impl Component {
     /// The component alone, as a mask of its bounds grown by `border` and clipped to `width` x `height`.
     pub fn mask(&self, border: u32, width: u32, height: u32) -> Mask {
         self.alone(self.bounds.grown(border, width, height))
+    }
+
+    /// The colours of its pixels in an image.
+    pub(crate) fn colors<'a>(&'a self, image: &'a RgbImage) -> impl Iterator<Item = [u8; 3]> + Clone + 'a {
+        self.runs.iter().flat_map(move |run| (run.x0..run.x1).map(move |x| image.pixel(x, run.y)))
     }
 
     /// The component alone, as a mask of this region.

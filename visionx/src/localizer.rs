@@ -19,7 +19,7 @@ use crate::components::{Component, components, fill_holes};
 use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::Mask;
 use crate::minimize::simplex;
-use crate::outline::{ConvexOutline, RowSums, border_points, box_outline};
+use crate::outline::{BorderPoint, ConvexOutline, RowSums, border_points, box_outline};
 
 /// The located object.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,6 +79,10 @@ const YAWS: usize = 24;
 const BORDER_REACH_PX: f64 = 2.5;
 /// Border points that are further outside than this share of the outline's size are not of the box.
 const NEAR: f64 = 0.1;
+/// So far outside of its border an object's colour may be mixed with that of its surroundings, px.
+const MIXED_PX: i64 = 3;
+/// Where less than this share of its border is one to the surroundings, these have many colours.
+const LEAST_OWN: f64 = 0.3;
 /// Standard deviation of a border point, px: pixels are 0.29 by themselves.
 const BORDER_SIGMA_PX: f64 = 0.35;
 /// From a fit's information to its covariance, px². The factor was measured on rendered scenes: errors of neighbouring border points are
@@ -126,11 +130,11 @@ impl ObjectLocalizer {
         {
             return None;
         }
-        let masks = [&frame.left, &frame.right].map(|image| self.color.segment(image));
-        let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let surface_from_left = self.surface.inverse() * frame.root_from_left;
         let mut best: Option<PoseFit> = None;
-        for l in left.iter().take(4) {
+        for shown in components(&self.color.segment(&frame.left), MIN_AREA).iter().take(4) {
+            let [left, right] = self.pieces_like(shown, frame);
+            let Some(l) = left.first() else { continue };
             for r in right.iter().take(4) {
                 let Some(start) = self.start(l, r, &surface_from_left) else { continue };
                 let eyes =
@@ -150,8 +154,8 @@ impl ObjectLocalizer {
         if !self.calibration.fits(frame) {
             return None;
         }
-        let masks = [&frame.left, &frame.right].map(|image| self.color.segment(image));
-        let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
+        let [left, right] =
+            self.pieces_like(components(&self.color.segment(&frame.left), MIN_AREA).first()?, frame);
         let left_from_root = frame.root_from_left.inverse();
         let away = (left_from_root * expected).translation.vector.z.max(0.1);
         let radius_px = 0.5 * self.size.norm() * self.calibration.camera.focal / away;
@@ -181,6 +185,19 @@ impl ObjectLocalizer {
         let covariance = information.try_inverse().map_or(Matrix6::identity(), |i| i * BORDER_VARIANCE);
         let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         self.judge((pose(&by), covariance), &outlines(&by)?, eyes)
+    }
+
+    /// The components of both images that have the colour of one of the left image as it is seen there, the one at its place first, then the largest. What has a
+    /// similar colour, as the robot's own arms may have, is not taken for a part of it.
+    fn pieces_like(&self, shown: &Component, frame: &StereoFrame) -> [Vec<Component>; 2] {
+        let color = self.color.learned(shown.colors(&frame.left));
+        let [mut left, right] =
+            [&frame.left, &frame.right].map(|image| components(&color.segment(image), MIN_AREA));
+        let away = |piece: &Component| (piece.centroid - shown.centroid).norm();
+        if let Some(at) = (0..left.len()).min_by(|a, b| away(&left[*a]).total_cmp(&away(&left[*b]))) {
+            left[..=at].rotate_right(1);
+        }
+        [left, right]
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -227,7 +244,8 @@ impl ObjectLocalizer {
         let sums = RowSums::of(&object);
         // What is inside, pixels of noise or things that stand on it, is no border of it.
         fill_holes(&mut object, u32::MAX);
-        Eye { area, border: border_points(&object, w, h), center: seed.centroid, surroundings, object: sums }
+        let border = own_border(&border_points(&object, w, h), image);
+        Eye { area, border, center: seed.centroid, surroundings, object: sums }
     }
 
     fn fit(
@@ -381,6 +399,18 @@ impl PoseFit {
     }
 }
 
+/// The border of an object to what is around most of it, without that to what hides it. All of it where that is nearly all, as where the
+/// surroundings have many colours.
+fn own_border(border: &[BorderPoint], image: &RgbImage) -> Vec<Point2<f64>> {
+    let outside: Vec<[u8; 3]> = border.iter().map(|point| point.outside(image, MIXED_PX)).collect();
+    let around = ColorModel::from_rgb(median_color(&outside));
+    let own = |(_, color): &(&BorderPoint, &[u8; 3])| around.accepts(**color);
+    let found: Vec<Point2<f64>> =
+        border.iter().zip(&outside).filter(own).map(|(point, _)| point.at).collect();
+    let is_enough = found.len() as f64 > LEAST_OWN * border.len() as f64;
+    if is_enough { found } else { border.iter().map(|point| point.at).collect() }
+}
+
 /// A pose that is moved and turned about its origin by this, m and rad, root frame.
 fn moved(pose: &Isometry3<f64>, by: &Vector6<f64>) -> Isometry3<f64> {
     let place = pose.translation.vector + by.fixed_rows::<3>(0);
@@ -423,26 +453,27 @@ fn silhouette_cost(outlines: &[ConvexOutline; 2], eyes: &[Eye; 2], camera: &Pinh
 /// The pixels with the surroundings' colour: the median colour of the mask's region without the object.
 fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
     let region = object.region();
-    let mut histograms = vec![[0u32; 256]; 3];
-    let mut total = 0u32;
-    for ((x, y), _) in region.pixels().zip(object.data()).filter(|(_, bit)| **bit == 0) {
-        let p = image.pixel(x, y);
-        (0..3).for_each(|i| histograms[i][usize::from(p[i])] += 1);
-        total += 1;
-    }
-    let median = |h: &[u32; 256]| {
-        let mut sum = 0;
-        h.iter().position(|n| {
-            sum += n;
-            2 * sum >= total
-        })
-    };
-    let color = [0, 1, 2].map(|i| median(&histograms[i]).unwrap_or(0) as u8);
-    let mut mask = ColorModel::from_rgb(color).segment_region(image, region);
+    let outside = region.pixels().zip(object.data()).filter(|(_, bit)| **bit == 0);
+    let colors: Vec<[u8; 3]> = outside.map(|((x, y), _)| image.pixel(x, y)).collect();
+    let mut mask = ColorModel::from_rgb(median_color(&colors)).segment_region(image, region);
     for (m, o) in mask.data_mut().iter_mut().zip(object.data()) {
         *m &= 1 - o;
     }
     mask
+}
+
+/// The median of each channel.
+fn median_color(colors: &[[u8; 3]]) -> [u8; 3] {
+    [0, 1, 2].map(|channel| {
+        let mut histogram = [0u32; 256];
+        colors.iter().for_each(|color| histogram[usize::from(color[channel])] += 1);
+        let mut sum = 0;
+        let middle = histogram.iter().position(|n| {
+            sum += n;
+            2 * sum as usize >= colors.len()
+        });
+        middle.unwrap_or(0) as u8
+    })
 }
 
 #[cfg(test)]
@@ -522,6 +553,24 @@ mod tests {
     }
 
     #[test]
+    fn where_a_hand_covers_its_end_its_border_is_not_the_hands() {
+        let size = Vector3::new(0.7, 0.3, 0.03);
+        let localizer = ObjectLocalizer::new(CALIBRATION, size, YELLOW);
+        let at = Isometry3::new(Vector3::new(0.0, 0.55, 0.915), Vector3::z() * 0.1);
+        let tray = Thing::Block { root_from_block: at, size, color: YELLOW };
+        // Its left end is out of view; the hand covers all of the right one but a corner.
+        let hand = Thing::Block {
+            root_from_block: Isometry3::new(Vector3::new(0.38, 0.53, 1.0), Vector3::z() * 0.2),
+            size: Vector3::new(0.15, 0.2, 0.08),
+            color: [70, 70, 74],
+        };
+        let frame = frame(&[table(TABLE), tray, hand], 0, 4);
+        let followed = |at: Isometry3<f64>, _| localizer.follow(&frame, &at).unwrap().root_from_object;
+        let off = at.inverse() * (0..6).fold(at, followed);
+        assert!(off.translation.vector.norm() < 0.002, "{off}");
+    }
+
+    #[test]
     fn a_darker_thing_of_its_hue_beside_it_is_no_part_of_it() {
         let arm = Thing::Block {
             root_from_block: Isometry3::translation(0.3, 0.33, 1.0),
@@ -532,6 +581,22 @@ mod tests {
         let found = localizer().localize(&frame(&scene, 0, 2)).unwrap();
         let (place, turn) = errors(&found, 0.3, 0.5, 0.3);
         assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad");
+    }
+
+    #[test]
+    fn a_dark_thing_whose_hue_is_noise_is_no_part_of_it() {
+        let (size, blue) = (Vector3::new(0.7, 0.3, 0.03), [40, 90, 200]);
+        let localizer = ObjectLocalizer::new(CALIBRATION, size, blue);
+        let at = Isometry3::new(Vector3::new(0.28, 0.55, 0.915), Vector3::z() * 0.05);
+        let tray = Thing::Block { root_from_block: at, size, color: blue };
+        let chest = Thing::Block {
+            root_from_block: Isometry3::translation(0.1, 0.3, 1.0),
+            size: Vector3::new(0.3, 0.02, 0.02),
+            color: [20, 27, 52],
+        };
+        let found = localizer.localize(&frame(&[table(TABLE), tray, chest], 0, 3)).unwrap();
+        let off = at.inverse() * found.root_from_object;
+        assert!(off.translation.vector.norm() < 0.004, "{off}");
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
 use crate::camera::PinholeCamera;
+use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
 
 /// A convex polygon in an image, corners in px, in order (the inside is to the left when y points up, to the right
@@ -190,16 +191,36 @@ impl RowSums {
     }
 }
 
-/// The points half way between neighbouring pixels of which only one is set, px. There are none at the border of
-/// the image (`width` x `height`), because what lies beyond it is unknown.
-pub(crate) fn border_points(mask: &Mask, width: u32, height: u32) -> Vec<Point2<f64>> {
+/// A point half way between neighbouring pixels of which only one is set, px, and the way to the one that is not set.
+pub(crate) struct BorderPoint {
+    pub(crate) at: Point2<f64>,
+    outwards: (i64, i64),
+}
+
+impl BorderPoint {
+    /// What an image shows so far outside, px.
+    pub(crate) fn outside(&self, image: &RgbImage, px: i64) -> [u8; 3] {
+        let (dx, dy) = self.outwards;
+        let along =
+            |from: f64, way: i64| u32::try_from((from + (px as f64 - 0.5) * way as f64).round() as i64);
+        match (along(self.at.x, dx), along(self.at.y, dy)) {
+            (Ok(x), Ok(y)) => image.pixel(x, y),
+            _ => [0; 3],
+        }
+    }
+}
+
+/// The border of a mask. There are no points at the border of the image (`width` x `height`), because what lies beyond it is unknown.
+pub(crate) fn border_points(mask: &Mask, width: u32, height: u32) -> Vec<BorderPoint> {
     let mut points = Vec::new();
     for (x, y) in mask.pixels() {
-        for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+        for outwards in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+            let (dx, dy) = outwards;
             let (nx, ny) = (x + dx, y + dy);
             let inside = nx >= 0 && ny >= 0 && nx < i64::from(width) && ny < i64::from(height);
             if inside && !mask.contains(nx, ny) {
-                points.push(Point2::new(x as f64 + 0.5 * dx as f64, y as f64 + 0.5 * dy as f64));
+                let at = Point2::new(x as f64 + 0.5 * dx as f64, y as f64 + 0.5 * dy as f64);
+                points.push(BorderPoint { at, outwards });
             }
         }
     }

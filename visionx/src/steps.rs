@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use armarium_values::{Frame, Observation, ObservedPlace, Pose, Search, Shown, Value, Vector};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, UnitQuaternion, Vector3};
+use tokio::sync::watch;
 
 use crate::annotate;
 use crate::camera::{PinholeCamera, StereoCalibration};
@@ -324,10 +325,28 @@ pub struct ObjectStep {
     localizer: ObjectLocalizer,
     /// Finds the table; `None` when it has been looked for.
     tables: Option<TabletopSegmentation>,
-    /// Where the box was seen last, root frame; none where it is looked for anew in each frame.
-    followed: Option<Isometry3<f64>>,
+    /// The box that is followed; none where it is looked for anew in each frame.
+    followed: Option<FollowedBox>,
     class: String,
     last: Option<ObjectEstimate>,
+}
+
+/// A box where it was shown last.
+struct FollowedBox {
+    /// Its pose, and that of the left camera, in the root frame as the camera is believed to be mounted.
+    shown: Isometry3<f64>,
+    root_from_left: Isometry3<f64>,
+    /// The left camera's true pose in the frame of its believed one, as far as that is known.
+    mounting: watch::Receiver<Isometry3<f64>>,
+}
+
+impl FollowedBox {
+    /// Where a camera that has turned shows a box that has not moved.
+    fn expected(&self, root_from_left: &Isometry3<f64>) -> Isometry3<f64> {
+        let mounting = *self.mounting.borrow();
+        let from_shown = |left: &Isometry3<f64>| left * mounting * left.inverse();
+        from_shown(root_from_left).inverse() * from_shown(&self.root_from_left) * self.shown
+    }
 }
 
 /// What stands on a surface has its underside within this of it, m.
@@ -345,11 +364,18 @@ impl ObjectStep {
         Self { tables: Some(TabletopSegmentation::new(camera)), ..self }
     }
 
-    /// The step for a box that is followed from frame to frame, from this pose on (root frame), with its roll and pitch as the images show
-    /// them. Where it is lost, it is looked for anew.
+    /// The step for a box that is followed from frame to frame, with its roll and pitch as the images show them: from this pose on, where
+    /// the left camera was believed at `root_from_left` (both root frame). A wrong mounting tilts what is shown the other way when the head
+    /// turns; `mounting` is the left camera's true pose in the frame of its believed one, as far as that is known. A box that is lost is
+    /// looked for anew.
     #[must_use]
-    pub fn following(self, from: Isometry3<f64>) -> Self {
-        Self { followed: Some(from), ..self }
+    pub fn following(
+        self,
+        shown: Isometry3<f64>,
+        root_from_left: Isometry3<f64>,
+        mounting: watch::Receiver<Isometry3<f64>>,
+    ) -> Self {
+        Self { followed: Some(FollowedBox { shown, root_from_left, mounting }), ..self }
     }
 
     /// The table under the box, once a box has been found.
@@ -385,13 +411,15 @@ impl StereoStep for ObjectStep {
         let table = self.table(frame);
         self.last = match &self.followed {
             None => self.localizer.localize(frame),
-            Some(expected) => self.localizer.follow(frame, expected).or_else(|| {
-                let anew = self.localizer.localize(frame)?;
-                self.localizer.follow(frame, &anew.root_from_object)
-            }),
+            Some(followed) => {
+                self.localizer.follow(frame, &followed.expected(&frame.root_from_left)).or_else(|| {
+                    let anew = self.localizer.localize(frame)?;
+                    self.localizer.follow(frame, &anew.root_from_object)
+                })
+            }
         };
         if let (Some(followed), Some(seen)) = (&mut self.followed, &self.last) {
-            *followed = seen.root_from_object;
+            (followed.shown, followed.root_from_left) = (seen.root_from_object, frame.root_from_left);
         }
         let seen = |object: &ObjectEstimate| {
             posed((OBJECTS, &self.class), frame.stamp_ns, &object.root_from_object, &object.covariance)
@@ -520,6 +548,25 @@ mod tests {
         }
 
         fn draw(&self, _: &mut RgbImage) {}
+    }
+
+    #[test]
+    fn a_box_that_stands_is_expected_where_a_camera_that_turns_shows_it() {
+        let mounted = Isometry3::new(Vector3::new(0.02, -0.01, 0.01), Vector3::new(0.05, -0.06, 0.03));
+        let stands = Isometry3::new(Vector3::new(0.1, 0.5, 0.95), Vector3::z() * 0.2);
+        let camera = |yaw: f64| {
+            let turned = UnitQuaternion::from_euler_angles(-2.4, 0.0, yaw);
+            Isometry3::from_parts(Vector3::new(0.05 * yaw, 0.2, 1.6).into(), turned)
+        };
+        let shows = |believed: &Isometry3<f64>| believed * (believed * mounted).inverse() * stands;
+        let [before, now] = [camera(-0.3), camera(0.3)];
+        let expected = |mounting: Isometry3<f64>| {
+            let mounting = watch::Sender::new(mounting).subscribe();
+            FollowedBox { shown: shows(&before), root_from_left: before, mounting }.expected(&now)
+        };
+        assert!((expected(mounted).inverse() * shows(&now)).rotation.angle() < 1e-9);
+        let off = expected(Isometry3::identity()).inverse() * shows(&now);
+        assert!(off.rotation.angle() > 0.02, "{off}: a wrong mounting tilts it");
     }
 
     #[test]

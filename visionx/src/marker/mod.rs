@@ -157,7 +157,7 @@ impl ColorMarkerObjectTracking {
             }
         }
         let (_, point, diameter, component) = best?;
-        self.seen_color = Some(self.color.learned(pixels(component, &frame.left)));
+        self.seen_color = Some(self.color.learned(component.colors(&frame.left)));
         if self.learns_diameter {
             self.diameter = Some(diameter);
         }
@@ -298,12 +298,8 @@ fn one_eye(
     (z > 0.0).then(|| (point, Matrix3::identity() * across + along * along.transpose() * 0.01, false))
 }
 
-fn pixels<'a>(component: &'a Component, image: &'a RgbImage) -> impl Iterator<Item = [u8; 3]> + Clone + 'a {
-    component.runs.iter().flat_map(move |run| (run.x0..run.x1).map(move |x| image.pixel(x, run.y)))
-}
-
 fn mean_color(component: &Component, image: &RgbImage) -> [f64; 3] {
     let mut sum = [0.0; 3];
-    pixels(component, image).for_each(|p| (0..3).for_each(|i| sum[i] += f64::from(p[i])));
+    component.colors(image).for_each(|p| (0..3).for_each(|i| sum[i] += f64::from(p[i])));
     sum.map(|s| s / f64::from(component.area.max(1)))
 }
