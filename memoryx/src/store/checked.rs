@@ -29,7 +29,7 @@ use parking_lot::Mutex;
 use redb::backends::FileBackend;
 use redb::{BackendError, Builder, Database, DatabaseError, StorageBackend};
 
-use super::log::{LOG_BYTES, LogFile};
+use super::log::{LOG_AT, LOG_BYTES};
 
 /// How the file begins.
 const MAGIC: &[u8; 16] = b"armarium memory2";
@@ -70,13 +70,15 @@ impl From<Spoiled> for io::Error {
     }
 }
 
-/// Opens the database in a file, or creates it, and the file of its log, where it has one. While `salvages` is set, blocks that
-/// are damaged are read nevertheless.
+/// A database, and the file with its log, where it has one.
+pub(super) type Opened = (Database, Option<Arc<dyn StorageBackend>>);
+
+/// Opens the database in a file, or creates it. While `salvages` is set, blocks that are damaged are read nevertheless.
 pub(super) fn open(
     path: &Path,
     builder: &Builder,
     salvages: &Arc<AtomicBool>,
-) -> Result<(Database, Option<LogFile>), DatabaseError> {
+) -> Result<Opened, DatabaseError> {
     let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
     let is_plain = begins_with(&file, PLAIN);
     let backend = FileBackend::new(file)?;
@@ -92,13 +94,13 @@ pub(super) fn open_checked(
     builder: &Builder,
     boot: Option<Boot>,
     salvages: &Arc<AtomicBool>,
-) -> Result<(Database, Option<LogFile>), DatabaseError> {
+) -> Result<Opened, DatabaseError> {
     let medium = Arc::new(medium);
     let file = CheckedFile::new(Arc::clone(&medium), boot, Arc::clone(salvages));
     let database = builder.create_with_backend(file)?;
     let mut start = [0; MAGIC.len()];
     medium.read(0, &mut start)?;
-    Ok((database, (start == *MAGIC).then(|| LogFile::new(medium, BLOCK as u64))))
+    Ok((database, (start == *MAGIC).then(|| medium as Arc<dyn StorageBackend>)))
 }
 
 fn begins_with(mut file: &File, words: &[u8]) -> bool {
@@ -371,7 +373,7 @@ impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
             self.file.set_len(state.layout.outer_len(len))?;
             if before == 0 && len > 0 {
                 // Blocks that have been written once are synced without a change of the file's map.
-                self.file.write(BLOCK as u64, &vec![0; LOG_BYTES as usize])?;
+                self.file.write(LOG_AT, &vec![0; LOG_BYTES as usize])?;
             }
             Ok(())
         })

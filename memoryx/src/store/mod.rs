@@ -89,7 +89,7 @@ pub use named::{EntityChange, NamedSnapshot};
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
-use log::{Log, LogFile, Stored};
+use log::{Log, Stored};
 use parking_lot::{Mutex, RwLock};
 use write::{EntityCache, Totals};
 
@@ -134,9 +134,8 @@ pub struct StoreStats {
     pub file_bytes: u64,
 }
 
-/// Opens the database, and its log where it has one; while the flag is set, damaged blocks are read nevertheless.
-type Opener =
-    Box<dyn Fn(&Arc<AtomicBool>) -> Result<(Database, Option<LogFile>), redb::DatabaseError> + Send + Sync>;
+/// Opens the database; while the flag is set, damaged blocks are read nevertheless.
+type Opener = Box<dyn Fn(&Arc<AtomicBool>) -> Result<checked::Opened, redb::DatabaseError> + Send + Sync>;
 
 /// The file while it is open.
 struct OpenFile {

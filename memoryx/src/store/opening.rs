@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use redb::{Database, ReadableDatabase, ReadableTable};
 
-use super::checked::Spoiled;
+use super::checked::{Opened, Spoiled};
 use super::error::Fault;
-use super::log::{Log, LogFile};
+use super::log::Log;
 use super::write::Totals;
 use super::{
     AGES, BLOB_USES, BLOBS, CHUNKS, EARLIER_FORMAT, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory,
@@ -97,7 +97,7 @@ impl LongTermMemory {
         clippy::disallowed_methods,
         reason = "another process holds the file: virtual time does not pass for it"
     )]
-    fn opened(&self) -> Result<(Database, Option<LogFile>), redb::DatabaseError> {
+    fn opened(&self) -> Result<Opened, redb::DatabaseError> {
         let mut left = if self.shared { SHARED_WAIT } else { WAIT };
         loop {
             match (self.opener)(&self.salvages) {
