@@ -10,7 +10,8 @@ use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::backup::{COPIED_BYTES, copy_all_but_records};
 use super::error::Fault;
-use super::retain::each_record;
+use super::read::row_at;
+use super::record::Records;
 use super::write::{EntityCache, Totals};
 use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, META, StoreError, Stored, beside};
 use crate::entity::{EntityId, Snapshot};
@@ -114,15 +115,12 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
                     if (kept.get(number)?.is_some() && !aged.contains(&number)) != keeps {
                         continue;
                     }
-                    let mut offset = 0;
-                    each_record(chunk, |head, record| {
-                        let place = index.get((head.number, head.version))?.map(|row| row.value());
-                        if place.is_some_and(|row| (row.0, row.1 as usize) == (number, offset)) {
+                    for (at, record) in (Records { chunk, at: 0 }) {
+                        let (head, record) = record?;
+                        if row_at(&index, head, number, at)?.is_some() {
                             writer.move_record(record, head)?;
                         }
-                        offset += record.len();
-                        Ok(())
-                    })?;
+                    }
                     // `move_record` counts the new ones.
                     writer.totals.bytes = writer.totals.bytes.saturating_sub(chunk.len() as u64);
                     bytes += chunk.len();

@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering;
 use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::error::Fault;
-use super::record::{self, Hash, RecordError};
+use super::record::{self, Hash, RecordError, Records};
 use super::write::OF_OTHERS;
 use super::{
     AGES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, OpenFile, RecordPlace, StoreError,
@@ -94,7 +94,7 @@ impl Reader {
 
     /// The newest version of an entity, and its row.
     pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, RecordPlace)>, Fault> {
-        self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
+        version_of(self.index.range((number, 0)..=(number, u64::MAX))?.next_back())
     }
 
     /// When the newest record of the oldest chunk arrived that retention has not come to, ns.
@@ -109,24 +109,12 @@ impl Reader {
         offset: usize,
         head: record::RecordHeader,
     ) -> Result<bool, Fault> {
-        if self.kept.get(chunk)?.is_none() {
-            return Ok(false);
-        }
-        let row = self.index.get((head.number, head.version))?.map(|row| row.value());
-        Ok(row.is_none_or(|row| (row.0, row.1 as usize) != (chunk, offset)))
+        Ok(self.kept.get(chunk)?.is_some() && row_at(&self.index, head, chunk, offset)?.is_none())
     }
 
     /// The last version that an entity was noted to have been given.
     fn given(&self, number: u64) -> Result<u64, Fault> {
         Ok(self.given.get(number)?.map_or(0, |row| row.value()))
-    }
-
-    fn one(
-        &self,
-        found: Result<Option<Found>, redb::StorageError>,
-    ) -> Result<Option<(u64, RecordPlace)>, Fault> {
-        let row = found.and_then(Option::transpose)?;
-        Ok(row.map(|(key, row)| (key.value().1, row.value())))
     }
 
     /// The snapshot at a row.
@@ -214,7 +202,7 @@ impl Reader {
         let mut rows = self.rows(entity, (0, u64::MAX))?;
         let index = |place: i64| usize::try_from(place).unwrap_or(usize::MAX);
         let found = if place < 0 { rows.nth_back(index(-1 - place)) } else { rows.nth(index(place)) };
-        Ok(self.one(Ok(found))?.map(|(version, _)| version))
+        Ok(version_of(found)?.map(|(version, _)| version))
     }
 
     fn rows(&self, entity: &Entity, (from, to): (u64, u64)) -> Result<Rows, Fault> {
@@ -240,9 +228,7 @@ impl Reader {
             Times::Between(from, to) => (from..=to).contains(&row.3),
             _ => true,
         };
-        while let Some((version, row)) =
-            self.one(Ok(if backwards { rows.next_back() } else { rows.next() }))?
-        {
+        while let Some((version, row)) = version_of(if backwards { rows.next_back() } else { rows.next() })? {
             let is_asked_for =
                 counts(&row) && (asked.is_plain() || asked.fits(&*self.snapshot(&entity.id, row)?));
             if is_asked_for && !act(version, row)? {
@@ -279,7 +265,7 @@ impl Reader {
         if !entity.ordered {
             let mut rows = self.rows(entity, (0, u64::MAX))?;
             let mut held: Option<(u64, RecordPlace)> = None;
-            while let Some((version, row)) = self.one(Ok(rows.next()))? {
+            while let Some((version, row)) = version_of(rows.next())? {
                 if counts(row.3) && held.is_none_or(|(_, best)| best.3 <= row.3) {
                     held = Some((version, row));
                 }
@@ -287,11 +273,7 @@ impl Reader {
             return Ok(held);
         }
         let Some((newest, _)) = self.newest(entity.number)? else { return Ok(None) };
-        let before = |version: u64| {
-            self.one(
-                self.index.range((entity.number, 0)..=(entity.number, version)).map(|mut r| r.next_back()),
-            )
-        };
+        let before = |version: u64| version_of(self.rows(entity, (0, version))?.next_back());
         // Bisection over versions: some may be missing, so each step uses the last existing one.
         let (mut low, mut high, mut best) = (0, newest, None);
         while low <= high {
@@ -308,6 +290,22 @@ impl Reader {
         }
         Ok(best)
     }
+}
+
+/// The version and the place of a row of the index.
+fn version_of(found: Option<Found>) -> Result<Option<(u64, RecordPlace)>, Fault> {
+    Ok(found.transpose()?.map(|(key, row)| (key.value().1, row.value())))
+}
+
+/// The row of a record, if the index has it at this place of a chunk.
+pub(super) fn row_at(
+    index: &impl ReadableTable<(u64, u64), RecordPlace>,
+    head: record::RecordHeader,
+    chunk: u64,
+    at: usize,
+) -> Result<Option<RecordPlace>, Fault> {
+    let row = index.get((head.number, head.version))?.map(|row| row.value());
+    Ok(row.filter(|row| (row.0, row.1 as usize) == (chunk, at)))
 }
 
 fn query_error(error: MemoryError) -> StoreError {
@@ -492,25 +490,20 @@ impl Reader {
             if number.value() != from.0 {
                 *from = (number.value(), 0);
             }
-            while let Some(rest) = chunk.value().get(from.1..).filter(|rest| !rest.is_empty()) {
-                let (snapshot, length) = match record::head(rest) {
-                    Ok(head) if self.is_forgotten(from.0, from.1, head)? => {
-                        from.1 += head.length;
-                        continue;
+            let mut records = Records { chunk: chunk.value(), at: from.1 };
+            while let Some((at, record)) = records.next() {
+                let snapshot = match record {
+                    Ok((head, _)) if self.is_forgotten(from.0, at, head)? => continue,
+                    Ok((head, record)) => {
+                        let id = ids.get(&head.number).ok_or(RecordError::NoAddress { number: head.number });
+                        id.and_then(|id| record::decode(id, head, record, &|hash| self.blob(hash)))
                     }
-                    Ok(head) => {
-                        let id = ids.get(&head.number);
-                        let id = id.ok_or(RecordError::NoAddress { number: head.number });
-                        let blobs = |hash: &_| self.blob(hash);
-                        (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
-                    }
-                    // If the record's length is damaged too, the following records of its chunk cannot be found.
-                    Err(what) => (Err(what), record::length(rest).unwrap_or(rest.len())),
+                    Err(what) => Err(what),
                 };
                 if let Err(RecordError::Storage(error)) = snapshot {
                     return Err(error.into());
                 }
-                from.1 += length;
+                from.1 = records.at;
                 if !act(snapshot) {
                     return Ok(());
                 }

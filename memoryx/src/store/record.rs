@@ -226,9 +226,29 @@ pub(super) fn head(bytes: &[u8]) -> Result<RecordHeader, RecordError> {
 }
 
 /// The length that a record states, if another record can follow at that place.
-pub(super) fn length(bytes: &[u8]) -> Option<usize> {
+fn length(bytes: &[u8]) -> Option<usize> {
     let length = ByteReader { rest: bytes }.u32().ok()? as usize;
     (HEAD..=bytes.len()).contains(&length).then_some(length)
+}
+
+/// The records of a chunk from a place on, one after the other: where each begins, its header, and its bytes. If the length of
+/// a damaged record is damaged too, those after it cannot be found.
+pub(super) struct Records<'c> {
+    pub(super) chunk: &'c [u8],
+    /// Where the next one begins.
+    pub(super) at: usize,
+}
+
+impl<'c> Iterator for Records<'c> {
+    type Item = (usize, Result<(RecordHeader, &'c [u8]), RecordError>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let rest = self.chunk.get(self.at..).filter(|rest| !rest.is_empty())?;
+        let (at, head) = (self.at, head(rest));
+        let length = head.as_ref().map_or(length(rest).unwrap_or(rest.len()), |head| head.length);
+        self.at += length;
+        Some((at, head.map(|head| (head, &rest[..length]))))
+    }
 }
 
 /// Looks up blobs.
