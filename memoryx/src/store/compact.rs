@@ -10,11 +10,12 @@ use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::backup::{COPIED_BYTES, copy_all_but_records};
 use super::error::Fault;
+use super::log::Given;
 use super::read::row_at;
 use super::record::Records;
 use super::write::{EntityCache, Totals};
 use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, META, StoreError, Stored, beside};
-use crate::entity::{EntityId, Snapshot};
+use crate::entity::Snapshot;
 
 /// When so few snapshots were stored during the last round, the rest is copied while commits wait.
 const FEW: usize = 64;
@@ -40,7 +41,7 @@ impl LongTermMemory {
     }
 
     /// Notes what is stored, if the file is being copied. Called by the writer.
-    pub(super) fn journal(&self, snapshots: &[Arc<Snapshot>], given: &[(Option<&EntityId>, u64)]) {
+    pub(super) fn journal(&self, snapshots: &[Arc<Snapshot>], given: &[Given]) {
         if let Some(journal) = &mut *self.journal.lock() {
             journal.extend(snapshots, given);
         }
@@ -51,12 +52,12 @@ impl LongTermMemory {
         let mut memo = self.memo.lock();
         self.take_log(&mut memo)?;
         *self.journal.lock() = Some(Stored::default());
-        let memo = self.with(|database| {
+        let memo = self.with(|file| {
             // As long as this is open, no commit has the work of freeing pages: they go with the file.
-            let from = database.begin_read()?;
+            let from = file.database.begin_read()?;
             // The others of a shared file have to wait, because only this process keeps a journal.
             let kept_memo = self.shared.then_some(memo);
-            to.with(|to| copy_all_but_records(&from, to))?;
+            to.with(|to| copy_all_but_records(&from, &to.database))?;
             copy_records(&from, &to)?;
             to.compact_alone()?;
             while self.catch_up(&to)? > FEW {}
@@ -82,7 +83,8 @@ impl LongTermMemory {
         let mut file = open.take().and_then(Arc::into_inner).ok_or_else(|| self.failed("it is in use"))?;
         self.contained(|| Ok(file.database.compact()?))?;
         // The copy goes on with the round of its original.
-        let round = self.contained(|| Ok(Totals::read(&file.begin_read()?.open_table(META)?)?.round))?;
+        let round =
+            self.contained(|| Ok(Totals::read(&file.database.begin_read()?.open_table(META)?)?.round))?;
         file.log.get_mut().iter_mut().for_each(|log| log.begin(round));
         *open = Some(Arc::new(file));
         Ok(())
@@ -92,7 +94,7 @@ impl LongTermMemory {
     fn catch_up(&self, to: &Self) -> Result<usize, StoreError> {
         let journal = self.journal.lock().as_mut().map(take);
         let journal = journal.ok_or_else(|| self.failed("a commit has failed while it was copied"))?;
-        to.persist_with(&journal.snapshots, &journal.given().collect::<Vec<_>>())?;
+        to.persist_with(&journal.snapshots, &journal.given)?;
         Ok(journal.snapshots.len())
     }
 }

@@ -15,6 +15,7 @@ use super::checked;
 use super::damage_tests::file_with;
 use super::tests::snapshot;
 use super::*;
+use crate::working::Backing;
 
 /// A medium that loses power: each unsynced write may be there, missing, or there in part.
 #[derive(Clone, Debug, Default)]

@@ -10,6 +10,7 @@ use super::tests::snapshot;
 use super::*;
 use crate::attributes::Attributes;
 use crate::entity::{Commit, Instance};
+use crate::working::Backing;
 
 fn store() -> (tempfile::TempDir, PathBuf, LongTermMemory) {
     let folder = tempfile::tempdir().unwrap();

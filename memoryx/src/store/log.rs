@@ -33,25 +33,24 @@ const MAX_ENTRY: usize = record::BLOB_FROM;
 const ENTRY_HEAD: usize = 24;
 const ALIGNMENT: usize = 64;
 
-/// Snapshots, and the last versions that may have been given: of an entity, or with `None` of any that is not stored.
+/// The last version that may have been given: to an entity, or with `None` to any that is not stored.
+pub(super) type Given = (Option<EntityId>, u64);
+
+/// Snapshots, and versions that may have been given.
 #[derive(Debug, Default)]
 pub(super) struct Stored {
     pub(super) snapshots: Vec<Arc<Snapshot>>,
-    pub(super) given: Vec<(Option<EntityId>, u64)>,
+    pub(super) given: Vec<Given>,
 }
 
 impl Stored {
-    pub(super) fn extend(&mut self, snapshots: &[Arc<Snapshot>], given: &[(Option<&EntityId>, u64)]) {
+    pub(super) fn extend(&mut self, snapshots: &[Arc<Snapshot>], given: &[Given]) {
         self.snapshots.extend_from_slice(snapshots);
-        self.given.extend(given.iter().map(|(id, version)| (id.cloned(), *version)));
+        self.given.extend_from_slice(given);
     }
 
     pub(super) fn is_empty(&self) -> bool {
         self.snapshots.is_empty() && self.given.is_empty()
-    }
-
-    pub(super) fn given(&self) -> impl Iterator<Item = (Option<&EntityId>, u64)> {
-        self.given.iter().map(|(id, version)| (id.as_ref(), *version))
     }
 }
 
@@ -99,7 +98,7 @@ impl Log {
     pub(super) fn append(
         &mut self,
         snapshots: &[Arc<Snapshot>],
-        given: &[(Option<&EntityId>, u64)],
+        given: &[Given],
         memo: &EntityCache,
     ) -> Result<bool, Fault> {
         let Some((entry, known)) = self.entry(snapshots, given, memo) else { return Ok(false) };
@@ -115,7 +114,7 @@ impl Log {
     fn entry(
         &self,
         snapshots: &[Arc<Snapshot>],
-        given: &[(Option<&EntityId>, u64)],
+        given: &[Given],
         memo: &EntityCache,
     ) -> Option<(Vec<u8>, EntityCache)> {
         let mut entry = vec![0; 8];
@@ -139,7 +138,7 @@ impl Log {
             known.insert(snapshot.id.clone(), EntityFacts { newest: snapshot.version, ..facts });
         }
         for (id, version) in given {
-            put_key(&mut entry, *id);
+            put_key(&mut entry, id.as_ref());
             entry.extend_from_slice(&version.to_le_bytes());
         }
         let length = u32::try_from(entry.len()).ok()?;

@@ -53,7 +53,7 @@ use redb::{Database, ReadableTableMetadata, TableDefinition};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
-use crate::working::{Archive, Backing, WorkingMemory};
+use crate::working::WorkingMemory;
 
 mod backup;
 mod checked;
@@ -150,14 +150,6 @@ impl OpenFile {
     fn new(database: Database, log: Option<Log>) -> Self {
         let is_logged = log.as_ref().is_some_and(|log| !log.stored.is_empty());
         Self { database, log: Mutex::new(log), is_logged: AtomicBool::new(is_logged) }
-    }
-}
-
-impl std::ops::Deref for OpenFile {
-    type Target = Database;
-
-    fn deref(&self) -> &Database {
-        &self.database
     }
 }
 
@@ -332,40 +324,6 @@ fn beside(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
     PathBuf::from(name)
-}
-
-impl Backing for LongTermMemory {
-    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        Ok(self.last_given(id)?)
-    }
-
-    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
-        Ok(self.holds_any_of(snapshots)?)
-    }
-
-    fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
-        self.persist(snapshots)?;
-        Ok(())
-    }
-
-    fn archive(&self) -> Option<&dyn Archive> {
-        Some(self)
-    }
-}
-
-impl Archive for LongTermMemory {
-    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        Ok(self.query(query)?)
-    }
-
-    fn versions(
-        &self,
-        query: &Query,
-        backwards: bool,
-        act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), MemoryError> {
-        Ok(self.versions_of(query, backwards, act)?)
-    }
 }
 
 impl Drop for LongTermMemory {

@@ -100,7 +100,10 @@ impl LongTermMemory {
         let before = self.list(name)?;
         let pinned: Vec<_> = entries(before.as_deref().unwrap_or_default()).collect();
         self.write(|writer, _| {
-            writer.name(name, list)?;
+            match list {
+                Some(list) => drop(writer.named.insert(name, list)?),
+                None => drop(writer.named.remove(name)?),
+            }
             Ok(((), list.is_some() || before.is_some()))
         })?;
         for part in pinned.chunks(PART) {

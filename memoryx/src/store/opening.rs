@@ -6,16 +6,13 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use redb::{Database, ReadableDatabase, ReadableTable};
+use redb::{Database, ReadableDatabase};
 
 use super::checked::{Opened, Spoiled};
 use super::error::Fault;
 use super::log::Log;
-use super::write::Totals;
-use super::{
-    AGES, BLOB_USES, BLOBS, CHUNKS, EARLIER_FORMAT, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory,
-    META, NAMED, OpenFile, REMOVED, SHARED_WAIT, StoreError, WAIT,
-};
+use super::write::{Totals, Writer};
+use super::{EARLIER_FORMAT, FORMAT, LongTermMemory, META, OpenFile, SHARED_WAIT, StoreError, WAIT};
 
 /// Between two tries to open a file that another process has open.
 const PAUSE: Duration = Duration::from_millis(5);
@@ -110,37 +107,27 @@ impl LongTermMemory {
         }
     }
 
+    /// Sets up a new file, and adds what a file of the earlier format lacks.
     fn check_format(&self, database: &Database) -> Result<(), Fault> {
         let path = self.name.clone();
         let read = database.begin_read()?;
         match read.open_table(META) {
-            Ok(meta) => {
-                return match meta.get("format")?.map_or(0, |v| v.value()) {
-                    FORMAT => Ok(()),
-                    EARLIER_FORMAT => bring_up_to_date(database),
-                    found => Err(StoreError::Format { path, found, supported: FORMAT }.into()),
-                };
+            Ok(meta) => match meta.get("format")?.map_or(0, |v| v.value()) {
+                FORMAT => return Ok(()),
+                EARLIER_FORMAT => {}
+                found => return Err(StoreError::Format { path, found, supported: FORMAT }.into()),
+            },
+            Err(redb::TableError::TableDoesNotExist(_)) => {
+                if read.list_tables()?.next().is_some() {
+                    let what = "it is a database of something else".into();
+                    return Err(StoreError::NotAStore { path, what }.into());
+                }
             }
-            Err(redb::TableError::TableDoesNotExist(_)) => {}
             Err(error) => return Err(error.into()),
-        }
-        if read.list_tables()?.next().is_some() {
-            let what = "it is a database of something else".into();
-            return Err(StoreError::NotAStore { path, what }.into());
         }
         drop(read);
         let write = database.begin_write()?;
-        write.open_table(META)?.insert("format", FORMAT)?;
-        write.open_table(ENTITIES)?;
-        write.open_table(INDEX)?;
-        write.open_table(CHUNKS)?;
-        write.open_table(BLOBS)?;
-        write.open_table(BLOB_USES)?;
-        write.open_table(AGES)?;
-        write.open_table(KEPT)?;
-        write.open_table(REMOVED)?;
-        write.open_table(GIVEN)?;
-        write.open_table(NAMED)?;
+        Writer::set_up(&write)?;
         Ok(write.commit()?)
     }
 
@@ -203,20 +190,4 @@ impl LongTermMemory {
 /// Whether a checksum has shown damage.
 fn is_spoiled(error: &std::io::Error) -> bool {
     error.get_ref().is_some_and(|inner| inner.is::<Spoiled>())
-}
-
-/// Adds what a file of the earlier format lacks.
-fn bring_up_to_date(database: &Database) -> Result<(), Fault> {
-    let write = database.begin_write()?;
-    {
-        let (chunks, mut ages) = (write.open_table(CHUNKS)?, write.open_table(AGES)?);
-        for row in chunks.iter()? {
-            ages.insert((0, row?.0.value()), ())?;
-        }
-        write.open_table(KEPT)?;
-        write.open_table(REMOVED)?;
-        write.open_table(GIVEN)?;
-        write.open_table(META)?.insert("format", FORMAT)?;
-    }
-    Ok(write.commit()?)
 }

@@ -18,6 +18,7 @@ use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
+use crate::working::{Archive, Backing};
 
 /// An empty range of versions.
 const NONE: (u64, u64) = (1, 0);
@@ -359,22 +360,6 @@ impl LongTermMemory {
         })
     }
 
-    /// See [`crate::Archive::versions`].
-    pub(super) fn versions_of(
-        &self,
-        query: &Query,
-        backwards: bool,
-        act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), StoreError> {
-        let asked = query.check().map_err(query_error)?;
-        let Some(id) = query.pattern.exact() else { return Ok(()) };
-        self.read(|reader| {
-            let Some(entity) = reader.entity(&id)? else { return Ok(()) };
-            let bounds = reader.bounds(&asked, &entity)?;
-            reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
-        })
-    }
-
     /// Passes every snapshot to `act`, in about the order of arrival, until it returns `false`. Reads the file
     /// sequentially, which is faster than any query for the same amount.
     ///
@@ -444,22 +429,6 @@ impl LongTermMemory {
         })
     }
 
-    /// Whether one of these snapshots is stored.
-    pub(super) fn holds_any_of(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, StoreError> {
-        self.read(|reader| {
-            for snapshot in snapshots {
-                let Some(entity) = reader.entity(&snapshot.id)? else { continue };
-                let row = reader.index.get((entity.number, snapshot.version))?;
-                if let Some(row) = row
-                    && reader.snapshot(&snapshot.id, row.value())?.arrived_ns == snapshot.arrived_ns
-                {
-                    return Ok(true);
-                }
-            }
-            Ok(false)
-        })
-    }
-
     pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
         self.read_tables(|transaction| act(&Reader::new(transaction)?))
     }
@@ -473,7 +442,60 @@ impl LongTermMemory {
         if !self.salvages.load(Ordering::Acquire) && self.with(is_logged)? {
             self.take_log(&mut self.memo.lock())?;
         }
-        self.with(|file| act(&file.begin_read()?))
+        self.with(|file| act(&file.database.begin_read()?))
+    }
+}
+
+impl Backing for LongTermMemory {
+    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
+        Ok(self.last_given(id)?)
+    }
+
+    fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+        self.persist(snapshots)?;
+        Ok(())
+    }
+
+    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+        let holds = self.read(|reader| {
+            for snapshot in snapshots {
+                let Some(entity) = reader.entity(&snapshot.id)? else { continue };
+                let row = reader.index.get((entity.number, snapshot.version))?;
+                if let Some(row) = row
+                    && reader.snapshot(&snapshot.id, row.value())?.arrived_ns == snapshot.arrived_ns
+                {
+                    return Ok(true);
+                }
+            }
+            Ok(false)
+        });
+        Ok(holds?)
+    }
+
+    fn archive(&self) -> Option<&dyn Archive> {
+        Some(self)
+    }
+}
+
+impl Archive for LongTermMemory {
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        Ok(self.query(query)?)
+    }
+
+    fn versions(
+        &self,
+        query: &Query,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), MemoryError> {
+        let asked = query.check()?;
+        let Some(id) = query.pattern.exact() else { return Ok(()) };
+        let chosen = self.read(|reader| {
+            let Some(entity) = reader.entity(&id)? else { return Ok(()) };
+            let bounds = reader.bounds(&asked, &entity)?;
+            reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
+        });
+        Ok(chosen?)
     }
 }
 

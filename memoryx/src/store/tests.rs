@@ -9,6 +9,7 @@ use armarium_values::Value;
 use super::*;
 use crate::entity::{Commit, Instance};
 use crate::query::Times;
+use crate::working::Backing;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
     let attributes = BTreeMap::from([("value".to_owned(), Value::Int(value))]);
