@@ -328,6 +328,15 @@ fn in_head(offset: u64, len: usize) -> io::Result<std::ops::Range<usize>> {
     Ok(from..from + len)
 }
 
+/// Functions on locks, which are those of the file below.
+macro_rules! locks_of_the_file {
+    ($($name:ident: $answer:ty,)*) => {$(
+        fn $name(&self, start: Bound<u64>, end: Bound<u64>) -> Result<$answer, BackendError> {
+            self.file.$name(start, end)
+        }
+    )*};
+}
+
 impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
     fn len(&self) -> io::Result<u64> {
         let len = self.file.len()?;
@@ -427,27 +436,12 @@ impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
         self.file.close().and(written)
     }
 
-    fn try_lock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<bool, BackendError> {
-        self.file.try_lock_range(start, end)
-    }
-
-    fn try_lock_shared_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<bool, BackendError> {
-        self.file.try_lock_shared_range(start, end)
-    }
-
-    fn lock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<(), BackendError> {
-        self.file.lock_range(start, end)
-    }
-
-    fn lock_shared_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<(), BackendError> {
-        self.file.lock_shared_range(start, end)
-    }
-
-    fn unlock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<(), BackendError> {
-        self.file.unlock_range(start, end)
-    }
-
-    fn query_lock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<bool, BackendError> {
-        self.file.query_lock_range(start, end)
+    locks_of_the_file! {
+        try_lock_range: bool,
+        try_lock_shared_range: bool,
+        lock_range: (),
+        lock_shared_range: (),
+        unlock_range: (),
+        query_lock_range: bool,
     }
 }

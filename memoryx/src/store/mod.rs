@@ -208,15 +208,13 @@ impl LongTermMemory {
             }
             let beside = beside(path);
             drop(Self::open_file(name.clone(), beside.clone(), false)?);
-            match std::fs::hard_link(&beside, path) {
-                // Another process has made it meanwhile.
-                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
-                    std::fs::remove_file(&beside).map_err(failed)?;
-                }
+            let placed = match std::fs::hard_link(&beside, path) {
                 // A file system without hard links.
-                Err(_) => std::fs::rename(&beside, path).map_err(failed)?,
-                Ok(()) => std::fs::remove_file(&beside).map_err(failed)?,
-            }
+                Err(e) if e.kind() != std::io::ErrorKind::AlreadyExists => std::fs::rename(&beside, path),
+                // It is there, or another process has made one meanwhile.
+                _ => std::fs::remove_file(&beside),
+            };
+            placed.map_err(failed)?;
             std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
         }
         Self::open_file(name, path.into(), shared)

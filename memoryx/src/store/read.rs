@@ -309,7 +309,7 @@ pub(super) fn row_at(
     Ok(row.filter(|row| (row.0, row.1 as usize) == (chunk, at)))
 }
 
-fn query_error(error: MemoryError) -> StoreError {
+pub(super) fn query_error(error: MemoryError) -> StoreError {
     match error {
         MemoryError::Query { what } => StoreError::Query { what },
         error => StoreError::Query { what: error.to_string() },
