@@ -66,7 +66,7 @@ impl MemoryServer {
         memory: Arc<WorkingMemory>,
         options: ServerOptions,
     ) -> Result<Self, MemoryError> {
-        let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
+        let failed = |error: SessionError| unreachable_memory(agent, error);
         let requests = keys::memory_commit(agent)?;
         let entities = wire::every_entity(agent)?;
 
@@ -98,8 +98,8 @@ impl MemoryServer {
     }
 }
 
-pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
-    MemoryError::Remote { agent: agent.into(), what: what.into() }
+pub(crate) fn unreachable_memory(agent: &str, what: impl ToString) -> MemoryError {
+    MemoryError::Remote { agent: agent.into(), what: what.to_string() }
 }
 
 /// The encoding and the bytes of an answer, or the refusal.
@@ -151,13 +151,17 @@ impl ServedMemory {
         &self,
         question: &IncomingQuery,
     ) -> Result<impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<>, MemoryError> {
-        let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
-        let request = self.permitted(question, request.map_err(|error| self.not_understood(&error))?)?;
+        let request: CommitRequest = self.opened(&question.encoding, &question.payload)?;
+        self.check_permitted(question, &request)?;
         Ok(self.memory.enqueue(request.updates, request.sent_ns))
     }
 
+    fn opened<T: Payload>(&self, encoding: &str, payload: &[u8]) -> Result<T, MemoryError> {
+        wire::open(encoding, payload).map_err(|error| unreachable_memory(&self.agent, error))
+    }
+
     fn sealed<T: Payload>(&self, content: &T) -> Response {
-        wire::seal(content).map_err(|error| self.not_understood(&error))
+        wire::seal(content).map_err(|error| unreachable_memory(&self.agent, error))
     }
 
     async fn send(&self, question: &IncomingQuery, answer: Response) {
@@ -178,12 +182,8 @@ impl ServedMemory {
         }
     }
 
-    /// The request, if its writer may write all of it.
-    fn permitted(
-        &self,
-        question: &IncomingQuery,
-        request: CommitRequest,
-    ) -> Result<CommitRequest, MemoryError> {
+    /// Checks that a request's writer may write all of it.
+    fn check_permitted(&self, question: &IncomingQuery, request: &CommitRequest) -> Result<(), MemoryError> {
         let is_own = |writer: &str, provider: &str| {
             writer == self.agent
                 || provider.strip_prefix(writer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
@@ -193,14 +193,7 @@ impl ServedMemory {
             Some(writer) => !is_own(writer, update.id.provider()),
             None => self.options.guarded,
         });
-        match forbidden {
-            Some(update) => Err(forbid(update.id.to_string(), writer)),
-            None => Ok(request),
-        }
-    }
-
-    fn not_understood(&self, error: &armarium_bus::CodecError) -> MemoryError {
-        unreachable_memory(&self.agent, &error.to_string())
+        forbidden.map_or(Ok(()), |update| Err(forbid(update.id.to_string(), writer)))
     }
 
     /// Sends the refusal to the caller, and logs the sender.
@@ -242,11 +235,10 @@ impl ServedMemory {
         &self,
         message: &Message,
     ) -> Result<impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<>, MemoryError> {
-        let not_understood = |what: String| unreachable_memory(&self.agent, &what);
-        let update: Commit =
-            wire::open(&message.encoding, &message.payload).map_err(|e| not_understood(e.to_string()))?;
+        let update: Commit = self.opened(&message.encoding, &message.payload)?;
         if !message.key.ends_with(&format!("/memory/{}", update.id)) {
-            return Err(not_understood(format!("the update is of `{}`, not of its key", update.id)));
+            let what = format!("the update is of `{}`, not of its key", update.id);
+            return Err(unreachable_memory(&self.agent, what));
         }
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
         Ok(self.memory.enqueue(vec![update], sent_ns))
