@@ -201,14 +201,6 @@ impl<'de> Deserialize<'de> for EntityId {
     }
 }
 
-impl TryFrom<&Reference> for EntityId {
-    type Error = MemoryError;
-
-    fn try_from(reference: &Reference) -> Result<Self, MemoryError> {
-        reference.id.parse()
-    }
-}
-
 impl fmt::Display for EntityId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.path)

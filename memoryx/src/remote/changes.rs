@@ -147,11 +147,6 @@ impl ChangeSource for RemoteChanges {
         }
     }
 
-    /// Zenoh's queue does not say whether it is empty, so nothing more is known to wait.
-    fn is_empty(&self) -> bool {
-        self.received.waiting.is_empty() && !self.received.is_lost
-    }
-
     fn until_ns(&self) -> u64 {
         self.received.until_ns
     }

@@ -44,18 +44,6 @@ pub struct Policies {
     pub codings: BTreeMap<String, Coding>,
 }
 
-impl Default for Policies {
-    /// All motions, object classes when they change, and one snapshot per second of the rest.
-    fn default() -> Self {
-        let own = [("Motions", Policy::Everything), ("ObjectClasses", Policy::OnChange)];
-        Self {
-            default: Policy::AtMost { hz: 1.0 },
-            by_segment: own.into_iter().map(|(name, policy)| (name.to_owned(), policy)).collect(),
-            codings: BTreeMap::new(),
-        }
-    }
-}
-
 impl Policies {
     /// One policy for all core segments.
     pub fn all(policy: Policy) -> Self {

@@ -156,14 +156,14 @@ impl Reader {
             let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;
             Ok(asked.select(found.into_iter()))
         };
-        match asked.query().times {
-            _ if asked.query().limit == Some(0) => {}
+        match asked.query.times {
+            _ if asked.query.limit == Some(0) => {}
             Times::Latest => answer.extend(one(self.newest(entity.number)?)?),
             Times::At(time) => answer.extend(one(self.held(entity, |referenced| referenced <= time)?)?),
             Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
             _ => {
                 let (mut from, to) = self.bounds(asked, entity)?;
-                if let Some(mut left) = asked.query().limit {
+                if let Some(mut left) = asked.query.limit {
                     self.choose(asked, entity, (from, to), true, |version, _| {
                         left -= 1;
                         from = version;
@@ -184,7 +184,7 @@ impl Reader {
 
     /// The first and the last version of an entity that a query can select.
     fn bounds(&self, asked: &CheckedQuery<'_>, entity: &Entity) -> Result<(u64, u64), Fault> {
-        let query = asked.query();
+        let query = asked.query;
         let after = query.after.as_ref().filter(|after| after.id == entity.id);
         let (from, to) = match query.times {
             Times::Versions(from, to) => (from, to),
@@ -225,7 +225,7 @@ impl Reader {
             return Ok(());
         }
         let mut rows = self.rows(entity, (from, to))?;
-        let counts = |row: &RecordPlace| match asked.query().times {
+        let counts = |row: &RecordPlace| match asked.query.times {
             Times::Between(from, to) => (from..=to).contains(&row.3),
             _ => true,
         };

@@ -80,7 +80,7 @@ fn a_second_run_goes_on_where_the_first_ended() {
         Commit::new(id.clone(), 5, BTreeMap::from([("frequency".to_owned(), Value::Float(value))]))
     };
     let run = || {
-        let backing = Consolidator::new(Arc::clone(&store), Policies::default()).unwrap();
+        let backing = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).unwrap();
         WorkingMemory::new(Arc::new(|| 5)).with_backing(Arc::new(backing))
     };
     let first = run();
