@@ -20,7 +20,7 @@ use armarium_source::{Finding, Findings, Rule, Source, code, form, outermost, re
 use armarium_values::{Frame, Pose, Value};
 
 use super::file::duplicate;
-use super::{PriorKnowledge, pose};
+use super::{PriorKnowledge, fields, pose};
 use crate::entity::{Commit, EntityId, check_name};
 use crate::error::MemoryError;
 
@@ -192,7 +192,7 @@ impl Scene {
     /// The scene as attributes of its entity: `description`, and `things`, a list of maps with `name`, `pose`, and `class` or
     /// `size`.
     pub fn attributes(&self) -> BTreeMap<String, Value> {
-        let thing = |thing: &Placed| Value::Map(thing.attributes(Some(("name", thing.name.as_str().into()))));
+        let thing = |thing: &Placed| Value::Map(thing.attributes(Some(&thing.name)));
         BTreeMap::from([
             ("description".to_owned(), Value::from(self.description.as_str())),
             ("things".to_owned(), Value::List(self.things.iter().map(thing).collect())),
@@ -220,11 +220,13 @@ impl Scene {
 }
 
 impl Placed {
-    fn attributes(&self, name: Option<(&str, Value)>) -> BTreeMap<String, Value> {
-        let class = self.class.as_ref().map(|class| ("class", Value::from(class.as_str())));
-        let size = self.size.map(|size| ("size", Value::from(size)));
-        let pose = Some(("pose", Value::Pose(self.pose.clone())));
-        [name, class, size, pose].into_iter().flatten().map(|(n, value)| (n.to_owned(), value)).collect()
+    fn attributes(&self, name: Option<&str>) -> BTreeMap<String, Value> {
+        fields([
+            ("name", name.map(Value::from)),
+            ("class", self.class.as_deref().map(Value::from)),
+            ("size", self.size.map(Value::from)),
+            ("pose", Some(Value::Pose(self.pose.clone()))),
+        ])
     }
 }
 

@@ -213,14 +213,21 @@ impl Core {
             return Err(MemoryError::ReadOnly { id: update.id.to_string() });
         }
         self.check(&update.id, &update.instances)?;
-        self.check_time(&update, writer.last_arrival)?;
+        let ahead_ns = update.referenced_ns.saturating_sub(writer.last_arrival);
+        if self.limits.ahead_ns.is_some_and(|most| ahead_ns > most) {
+            let (id, ahead_s) = (update.id.to_string(), ahead_ns / 1_000_000_000);
+            return Err(MemoryError::Future { id, ahead_s });
+        }
         let newest = next.newest(&update.id);
         let backed = || self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id));
         let (version, is_gone) = match newest {
             Some(newest) => (newest.version, newest.is_removed()),
             None => (backed()?, true),
         };
-        expect(&update, if is_gone { 0 } else { version })?;
+        let actual = if is_gone { 0 } else { version };
+        if let Some(expected) = update.expected_version.filter(|expected| *expected != actual) {
+            return Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual });
+        }
         let given =
             if next.is_partial { backed()? } else { writer.given.get(&update.id).copied().unwrap_or(0) };
         let version = version.max(given);
@@ -240,16 +247,6 @@ impl Core {
             }
         }
         Ok(())
-    }
-
-    fn check_time(&self, update: &Commit, now_ns: u64) -> Result<(), MemoryError> {
-        let ahead_ns = update.referenced_ns.saturating_sub(now_ns);
-        match self.limits.ahead_ns {
-            Some(most) if ahead_ns > most => {
-                Err(MemoryError::Future { id: update.id.to_string(), ahead_s: ahead_ns / 1_000_000_000 })
-            }
-            _ => Ok(()),
-        }
     }
 
     /// Checks that there is capacity for a snapshot in the whole memory and in its owner's share, if given. The snapshot
@@ -281,14 +278,5 @@ impl Core {
             }
         }
         Ok(())
-    }
-}
-
-fn expect(update: &Commit, actual: u64) -> Result<(), MemoryError> {
-    match update.expected_version {
-        Some(expected) if expected != actual => {
-            Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual })
-        }
-        _ => Ok(()),
     }
 }
