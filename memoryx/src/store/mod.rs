@@ -285,15 +285,14 @@ impl LongTermMemory {
             Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
         while goes_on() {
             let found = self.query(&query)?;
-            let Some(last) = found.last().map(|s| Cursor::after(s)) else { break };
             let is_cut = query.is_filled_by(&found);
+            query.after = found.last().map(|s| Cursor::after(s));
             let (count, error) = memory.restore(found);
             restored += count;
             refused = refused.or(error);
             if !is_cut {
                 break;
             }
-            query.after = Some(last);
         }
         memory.count_from(self.given_ahead()?);
         if let Some(error) = refused {

@@ -193,7 +193,7 @@ impl Reader {
             }
             // A continued answer is already past the versions that arrived earlier.
             _ if after.is_some() => (0, u64::MAX),
-            _ => (query.arrived_since.map_or(Ok(0), |since| self.arrived(entity.number, since))?, u64::MAX),
+            _ => (query.arrived_since.map_or(Ok(0), |since| self.arrived(entity, since))?, u64::MAX),
         };
         Ok((after.map_or(from, |after| from.max(after.version.saturating_add(1))), to))
     }
@@ -239,21 +239,10 @@ impl Reader {
         Ok(())
     }
 
-    /// The first version that arrived at a time or later, by bisection: versions arrive in order.
-    fn arrived(&self, number: u64, since: u64) -> Result<u64, Fault> {
-        let (mut low, mut high) = (0, self.newest(number)?.map_or(0, |(version, _)| version + 1));
-        while low < high {
-            let middle = low + (high - low) / 2;
-            let row = self.index.range((number, middle)..=(number, u64::MAX))?.next();
-            let Some((key, row)) = row.transpose()? else { break };
-            let times = self.with_record(row.value(), record::times)?;
-            if times?.1 < since {
-                low = key.value().1 + 1;
-            } else {
-                high = middle;
-            }
-        }
-        Ok(low)
+    /// The first version that can have arrived at a time or later: versions arrive in order.
+    fn arrived(&self, entity: &Entity, since: u64) -> Result<u64, Fault> {
+        let is_before = |row: RecordPlace| Ok(self.with_record(row, record::times)??.1 < since);
+        Ok(self.last_of_first(entity, is_before)?.map_or(0, |(version, _)| version + 1))
     }
 
     /// The row with the latest referenced time among those for which `counts` is true. `counts` is true up to some
@@ -273,18 +262,26 @@ impl Reader {
             }
             return Ok(held);
         }
+        self.last_of_first(entity, |row| Ok(counts(row.3)))
+    }
+
+    /// The last row for which `is_first` is true, by bisection. It is true up to some version, and false after it.
+    fn last_of_first(
+        &self,
+        entity: &Entity,
+        is_first: impl Fn(RecordPlace) -> Result<bool, Fault>,
+    ) -> Result<Option<(u64, RecordPlace)>, Fault> {
         let Some((newest, _)) = self.newest(entity.number)? else { return Ok(None) };
-        let before = |version: u64| version_of(self.rows(entity, (0, version))?.next_back());
-        // Bisection over versions: some may be missing, so each step uses the last existing one.
         let (mut low, mut high, mut best) = (0, newest, None);
         while low <= high {
             let middle = low + (high - low) / 2;
-            match before(middle)? {
-                Some(found) if counts(found.1.3) => {
+            // Some versions may be missing, so each step uses the last existing one.
+            match version_of(self.rows(entity, (0, middle))?.next_back())? {
+                Some(found) if is_first(found.1)? => {
                     best = Some(found);
                     low = middle + 1;
                 }
-                Some((version, _)) if version > 0 && version > low => high = version - 1,
+                Some((version, _)) if version > low => high = version - 1,
                 Some(_) => break,
                 None => low = middle + 1,
             }
