@@ -67,7 +67,6 @@ impl MemoryServer {
         options: ServerOptions,
     ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, error);
-        let requests = keys::memory_commit(agent)?;
         let entities = wire::every_entity(agent)?;
 
         let publisher = ChangePublisher::new(session, agent, Arc::clone(&memory)).await?;
@@ -83,11 +82,10 @@ impl MemoryServer {
             refusals: Arc::default(),
         };
         let mut tasks = JoinSet::new();
-        let questions = session.declare_queryable(requests, QUEUE).await.map_err(failed)?;
-        tasks.spawn(shared.clone().answer_requests(questions));
-        let by_pattern = keys::memory_by_pattern(agent)?;
-        let questions = session.declare_queryable(by_pattern, QUEUE).await.map_err(failed)?;
-        tasks.spawn(shared.clone().answer_requests(questions));
+        for key in [keys::memory_by_pattern(agent)?, keys::memory_commit(agent)?.into()] {
+            let questions = session.declare_queryable(key, QUEUE).await.map_err(failed)?;
+            tasks.spawn(shared.clone().answer_requests(questions));
+        }
         let gets = session.declare_queryable(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;

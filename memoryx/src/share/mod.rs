@@ -69,10 +69,8 @@ impl Following {
         crate::entity::check_name(&settings.agent)?;
         let told = last_taken(&memory, &settings).await?;
         let follower = Follower::resume(other, settings.pattern.clone(), told).await?;
-        let updater = match &settings.fuse_into {
-            Some(provider) => Some(Updater::new(Arc::<WorkingMemory>::clone(&memory), provider)?),
-            None => None,
-        };
+        let fuses = |provider: &String| Updater::new(Arc::<WorkingMemory>::clone(&memory), provider);
+        let updater = settings.fuse_into.as_ref().map(fuses).transpose()?;
         let (missed, taken) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let task =
             FollowTask { memory, settings, updater, missed: Arc::clone(&missed), taken: Arc::clone(&taken) };
@@ -188,8 +186,7 @@ impl FollowTask {
             }
         }
         if let Some(updater) = &self.updater {
-            let seen: Vec<Observation> = news.iter().filter_map(|(s, _)| self.observation(s)).collect();
-            for observation in seen {
+            for observation in news.iter().filter_map(|(snapshot, _)| self.observation(snapshot)) {
                 log_refusal(updater.adopt(&[observation]).await, &self.settings.agent);
             }
         }

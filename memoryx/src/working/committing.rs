@@ -34,17 +34,42 @@ pub(super) struct Request {
 /// Takes the result of a request.
 pub(super) type Answer = Box<dyn FnOnce(CommitResult) + Send>;
 
+/// A thread for whose end whoever drops this waits.
+pub(crate) struct AwaitedThread(Option<JoinHandle<()>>);
+
+impl AwaitedThread {
+    /// Starts a thread. `missing`: what is said where there is none.
+    pub(crate) fn start(
+        name: &str,
+        missing: &str,
+        work: impl FnOnce() + Send + 'static,
+    ) -> Result<Self, MemoryError> {
+        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+        let thread = thread.map_err(|e| MemoryError::Store { what: format!("{missing}: {e}") })?;
+        Ok(Self(Some(thread)))
+    }
+}
+
+impl Drop for AwaitedThread {
+    fn drop(&mut self) {
+        if let Some(thread) = self.0.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
 /// The thread that commits for a memory with a backing. Dropping it waits until it has answered everything.
 pub(super) struct CommittingThread {
-    requests: Option<mpsc::Sender<(Request, Answer)>>,
-    thread: Option<JoinHandle<()>>,
+    requests: mpsc::Sender<(Request, Answer)>,
+    /// Dropped after `requests` (the order of the fields), which ends it.
+    _thread: AwaitedThread,
 }
 
 impl CommittingThread {
     pub(super) fn start(core: Arc<Core>) -> Result<Self, MemoryError> {
         let (requests, waiting) = mpsc::channel::<(Request, Answer)>();
         // In virtual time, whoever commits waits on his own thread, so that the clock waits with him.
-        let thread = std::thread::Builder::new().name("memory".into()).spawn(move || {
+        let thread = AwaitedThread::start("memory", "no thread for it", move || {
             while let Ok(first) = waiting.recv() {
                 let more = waiting.try_iter().take(MAX_GROUP - 1);
                 let (requests, answers): (Vec<_>, Vec<_>) = std::iter::once(first).chain(more).unzip();
@@ -52,22 +77,12 @@ impl CommittingThread {
                 answers.into_iter().zip(results).for_each(|(answer, result)| answer(result));
             }
         });
-        let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread for it: {e}") })?;
-        Ok(Self { requests: Some(requests), thread: Some(thread) })
+        Ok(Self { requests, _thread: thread? })
     }
 
     pub(super) fn commit(&self, request: Request, answer: Answer) {
         // If the thread has ended, the answer is dropped here, which its receiver notices.
-        let _ = self.requests.as_ref().map(|requests| requests.send((request, answer)));
-    }
-}
-
-impl Drop for CommittingThread {
-    fn drop(&mut self) {
-        self.requests = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        let _ = self.requests.send((request, answer));
     }
 }
 
