@@ -24,7 +24,7 @@ const MAX_NAME_BYTES: usize = 200;
 
 /// The address of an entity: `core segment / provider / entity`, each a name without `/`, `*`, `#`, `?`, `$`.
 /// Ordered by core segment, then provider, then entity. Cheap to clone.
-#[derive(Clone, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct EntityId {
     path: Arc<str>,
     provider_at: u16,
@@ -124,12 +124,6 @@ impl EntityId {
 /// [`MemoryError::Name`] when it cannot.
 pub fn check_name(name: &str) -> Result<(), MemoryError> {
     Ok(armarium_bus::keys::check_name(name)?)
-}
-
-impl PartialEq for EntityId {
-    fn eq(&self, other: &Self) -> bool {
-        self.path == other.path
-    }
 }
 
 impl Hash for EntityId {
