@@ -18,6 +18,8 @@ mod durable;
 mod finding;
 mod frames;
 mod link;
+#[path = "../../tests/proxy.rs"]
+mod proxy;
 mod scale;
 mod shared;
 mod starts;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use armarium_bus::{Reply, SessionConfig};
 use armarium_values::Value;
@@ -93,12 +93,6 @@ async fn forged_changes_have_no_effect() {
     assert_eq!(heard, expected);
 }
 
-/// Bytes that a session receives from another through a proxy.
-async fn counted(far: &Session) -> (Session, Arc<AtomicU64>) {
-    let (endpoint, bytes) = counting_proxy(&far.endpoints().await[0]).await;
-    (Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap(), bytes)
-}
-
 /// One entity of a large memory is read for the price of one; who follows a core segment gets nothing of another.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn connecting_costs_what_is_asked_for() {
@@ -109,16 +103,18 @@ async fn connecting_costs_what_is_asked_for() {
     };
     pair.memory.commit_now((0..2000).map(|n| large("Things", n)).collect()).unwrap();
     pair.memory.commit_now(vec![commit("small", 1)]).unwrap();
-    let (session, bytes) = counted(&pair.far).await;
+    let (endpoint, bytes) = counting_proxy(&pair.far.endpoints().await[0]).await;
+    let session = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
+    let received = || bytes[1].load(Ordering::Relaxed);
     // What the sessions say to each other before anybody asks for anything.
     RemoteMemory::connect(&session, "alice").await.unwrap();
-    let before = bytes.load(Ordering::Relaxed);
+    let before = received();
     let remote = RemoteMemory::connect(&session, "alice").await.unwrap();
     remote.latest(&commit("small", 1).id).await.unwrap();
-    let got = bytes.load(Ordering::Relaxed) - before;
+    let got = received() - before;
     assert!(got < 10_000, "{got} bytes for one entity");
 
-    let before = bytes.load(Ordering::Relaxed);
+    let before = received();
     let (mut follower, _) = Follower::from_now(Arc::new(remote), Pattern::segment("Others")).await.unwrap();
     let id = EntityId::new("Others", "p", "e").unwrap();
     for n in 1..=10 {
@@ -127,7 +123,7 @@ async fn connecting_costs_what_is_asked_for() {
         let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
         assert_eq!(snapshot.version, n);
     }
-    let got = bytes.load(Ordering::Relaxed) - before;
+    let got = received() - before;
     assert!(got < 50_000, "{got} bytes of a core segment with ten changes, beside 10 MB of another one");
 }
 
