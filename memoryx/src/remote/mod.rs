@@ -178,4 +178,4 @@ impl Memory for RemoteMemory {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -80,7 +80,7 @@ mod keep_tests;
 #[cfg(test)]
 mod query_tests;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use coding::Coding;
 pub use consolidate::{Consolidator, Policies, Policy};
