@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_memoryx::{Consolidator, LongTermMemory, MemoryLimits, Policies, Policy, WorkingMemory};
+use armarium_memoryx::{MemoryLimits, Policies, Policy};
 
 use super::proxy::counting_proxy;
 use super::scale::{Agent, agent, client, following, router, told};
-use super::{commit, say};
+use super::{commit, on_file, say};
 
 /// Until messages in flight have arrived, and idle memories have published their number of changes.
 const SETTLED: Duration = Duration::from_millis(400);
@@ -85,13 +85,9 @@ pub(super) async fn link() {
 fn kept() {
     let folder = tempfile::tempdir().expect("a folder");
     for together in [1, 100] {
-        let store = LongTermMemory::open(&folder.path().join(format!("{together}.redb"))).expect("a file");
-        let store = Arc::new(store);
-        let kept =
-            Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).expect("it can be read");
-        let memory = WorkingMemory::new(Arc::new(|| 0))
-            .with_limits(MemoryLimits { history: 2, ..MemoryLimits::default() });
-        let memory = memory.with_backing(Arc::new(kept));
+        let file = folder.path().join(format!("{together}.redb"));
+        let limits = MemoryLimits { history: 2, ..MemoryLimits::default() };
+        let (store, memory) = on_file(&file, Policies::all(Policy::Everything), limits);
         for g in 0..1000 {
             let updates = (0..together).map(|i| commit((g * together + i) % 1000, 100));
             memory.commit_now(updates.collect()).expect("it fits");

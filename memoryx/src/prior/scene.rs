@@ -100,33 +100,6 @@ pub fn schema() -> serde_json::Value {
     armarium_source::schema::<SceneFile>()
 }
 
-/// What is impossible about a thing of a scene.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SceneError {
-    /// Its name cannot be part of an address.
-    #[error(transparent)]
-    Name(#[from] MemoryError),
-    /// Another one has its name.
-    #[error("two things are named `{name}`")]
-    Twice {
-        /// The name.
-        name: String,
-    },
-    /// A number is not finite.
-    #[error("`{name}` has a number that is not finite")]
-    NotFinite {
-        /// The thing.
-        name: String,
-    },
-    /// Its size is none.
-    #[error("`{name}` has a size that is not three lengths over 0 m")]
-    Size {
-        /// The thing.
-        name: String,
-    },
-}
-
 /// Whether a file is one of a scene: its outermost level has the key `scene`.
 pub(super) fn is_scene(text: &str) -> bool {
     outermost(text, "scene").is_some()
@@ -155,40 +128,28 @@ pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene,
             findings.error_help(code::REFERENCE, node.place("class"), message, help);
         }
         let pose = pose(Frame(file.frame.clone()), position, rpy_deg.map(f64::to_radians));
-        if let Err(error) = scene.add(Placed { name, class, pose, size }) {
-            let code = match error {
-                SceneError::Name(_) => code::NAME,
-                SceneError::Twice { .. } => code::DUPLICATE,
-                _ => code::VALUE,
-            };
-            findings.error(code, node.place("name"), error.to_string());
+        let mut numbers = pose.position.iter().chain(&pose.orientation).chain(size.iter().flatten());
+        let place = node.place("name");
+        if let Err(error) = check_name(&name) {
+            findings.error(code::NAME, place, error.to_string());
+        } else if scene.things.iter().any(|other| other.name == name) {
+            findings.error(code::DUPLICATE, place, format!("two things are named `{name}`"));
+        } else if numbers.any(|x| !x.is_finite()) {
+            findings.error(code::VALUE, place, format!("`{name}` has a number that is not finite"));
+        } else if size.is_some_and(|size| size.iter().any(|x| *x <= 0.0)) {
+            findings.error(
+                code::VALUE,
+                place,
+                format!("`{name}` has a size that is not three lengths over 0 m"),
+            );
+        } else {
+            scene.things.push(Placed { name, class, pose, size });
         }
     }
     if findings.list.is_empty() { Ok(scene) } else { Err(findings.list) }
 }
 
 impl Scene {
-    /// Adds a thing.
-    ///
-    /// # Errors
-    /// What is impossible about it.
-    pub fn add(&mut self, thing: Placed) -> Result<(), SceneError> {
-        check_name(&thing.name)?;
-        let name = || thing.name.clone();
-        if self.things.iter().any(|other| other.name == thing.name) {
-            return Err(SceneError::Twice { name: name() });
-        }
-        let numbers = thing.pose.position.iter().chain(&thing.pose.orientation);
-        if !numbers.chain(thing.size.iter().flatten()).all(|x| x.is_finite()) {
-            return Err(SceneError::NotFinite { name: name() });
-        }
-        if thing.size.is_some_and(|size| size.iter().any(|x| *x <= 0.0)) {
-            return Err(SceneError::Size { name: name() });
-        }
-        self.things.push(thing);
-        Ok(())
-    }
-
     /// The scene as attributes of its entity: `description`, and `things`, a list of maps with `name`, `pose`, and `class` or
     /// `size`.
     pub fn attributes(&self) -> BTreeMap<String, Value> {
