@@ -80,9 +80,7 @@ impl EntityId {
     /// # Errors
     /// [`MemoryError::Name`] when a part is not a valid name.
     pub fn new(segment: &str, provider: &str, entity: &str) -> Result<Self, MemoryError> {
-        for name in [segment, provider, entity] {
-            check_name(name)?;
-        }
+        [segment, provider, entity].into_iter().try_for_each(check_name)?;
         Ok(Self::of_path(format!("{segment}/{provider}/{entity}").into(), segment.len(), provider.len()))
     }
 
@@ -156,16 +154,13 @@ impl FromStr for EntityId {
     type Err = MemoryError;
 
     fn from_str(path: &str) -> Result<Self, MemoryError> {
-        let parts = path.split_once('/').and_then(|(segment, rest)| {
-            let (provider, entity) = rest.split_once('/')?;
-            Some([segment, provider, entity])
-        });
-        let Some(names) = parts else {
+        // A third slash would belong to the entity's name, where it is not allowed.
+        let mut names = path.splitn(3, '/');
+        let (Some(segment), Some(provider), Some(entity)) = (names.next(), names.next(), names.next()) else {
             return Err(MemoryError::Name { name: path.chars().take(MAX_NAME_BYTES).collect() });
         };
-        // A third slash would belong to the entity's name, where it is not allowed.
-        names.iter().try_for_each(|name| check_name(name))?;
-        Ok(Self::of_path(path.into(), names[0].len(), names[1].len()))
+        [segment, provider, entity].into_iter().try_for_each(check_name)?;
+        Ok(Self::of_path(path.into(), segment.len(), provider.len()))
     }
 }
 

@@ -65,7 +65,7 @@ impl Times {
 }
 
 /// A position in the order of an answer.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Cursor {
     /// The entity.
     pub id: EntityId,

@@ -14,7 +14,7 @@ use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, UnitQuaternion};
 use serde::Serialize;
 
-use crate::attributes::Attributes;
+use crate::attributes::{Attributes, fields};
 use crate::entity::{Commit, EntityId, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
@@ -208,11 +208,6 @@ impl ObjectClass {
             ("mass", self.mass.map(Value::Float)),
         ])
     }
-}
-
-/// The fields that have a value.
-fn fields<const N: usize>(fields: [(&str, Option<Value>); N]) -> BTreeMap<String, Value> {
-    fields.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
 }
 
 fn rgb(value: &Value) -> Option<[u8; 3]> {

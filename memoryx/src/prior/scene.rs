@@ -20,7 +20,8 @@ use armarium_source::{Finding, Findings, Rule, Source, code, form, outermost, re
 use armarium_values::{Frame, Pose, Value};
 
 use super::file::duplicate;
-use super::{PriorKnowledge, fields, pose};
+use super::{PriorKnowledge, pose};
+use crate::attributes::fields;
 use crate::entity::{Commit, EntityId, check_name};
 use crate::error::MemoryError;
 

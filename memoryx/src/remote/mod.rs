@@ -73,15 +73,13 @@ impl RemoteMemory {
     /// `questions`: the key of the queryable.
     async fn connect_on(session: &Session, agent: &str, questions: Key) -> Result<Self, MemoryError> {
         let remote = Self { session: session.clone(), agent: agent.into(), questions };
-        let mut tries = 0;
-        loop {
-            tries += 1;
-            match remote.answers().await {
-                Ok(()) => return Ok(remote),
-                Err(error) if tries == MAX_TRIES => return Err(error),
-                Err(_) => tokio::time::sleep(RETRY_INTERVAL).await,
+        for _ in 1..MAX_TRIES {
+            if remote.answers().await.is_ok() {
+                return Ok(remote);
             }
+            tokio::time::sleep(RETRY_INTERVAL).await;
         }
+        remote.answers().await.map(|()| remote)
     }
 
     /// Asks for nothing, and waits for the answer.

@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use armarium_values::{Observation, ObservedPlace, Value, Vector};
 use tokio::task::JoinSet;
 
+use crate::attributes::fields;
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower, LastSeen};
@@ -196,16 +197,13 @@ impl FollowTask {
     /// The update of this memory for a followed snapshot, in this agent's frame.
     fn translated(&self, snapshot: &Snapshot, missed: u64) -> Result<Commit, MemoryError> {
         let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
-        let mut origin = vec![
-            ("agent", Value::from(self.settings.agent.as_str())),
-            ("provider", snapshot.id.provider().into()),
-            ("version", number(snapshot.version)),
-            ("arrived_ns", number(snapshot.arrived_ns)),
-        ];
-        if missed > 0 {
-            origin.push(("missed", number(missed)));
-        }
-        let origin = Value::Map(origin.into_iter().map(|(name, value)| (name.to_owned(), value)).collect());
+        let origin = Value::Map(fields([
+            ("agent", Some(self.settings.agent.as_str().into())),
+            ("provider", Some(snapshot.id.provider().into())),
+            ("version", Some(number(snapshot.version))),
+            ("arrived_ns", Some(number(snapshot.arrived_ns))),
+            ("missed", (missed > 0).then(|| number(missed))),
+        ]));
         let instances = snapshot.instances.iter().map(|instance| {
             let moved = self.moved(instance);
             Instance { attributes: moved.attributes.with("origin", origin.clone()), ..moved }

@@ -19,7 +19,7 @@
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::fmt::Debug;
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
 use std::io;
 use std::ops::Bound;
 use std::path::Path;
@@ -81,7 +81,8 @@ pub(super) fn open(
     salvages: &Arc<AtomicBool>,
 ) -> Result<Opened, DatabaseError> {
     let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
-    let is_plain = begins_with(&file, PLAIN);
+    let mut start = [0; PLAIN.len()];
+    let is_plain = io::Read::read_exact(&mut &file, &mut start).is_ok() && start == *PLAIN;
     let backend = FileBackend::new(file)?;
     if is_plain {
         return Ok((builder.create_with_backend(backend)?, None));
@@ -101,12 +102,7 @@ pub(super) fn open_checked(
     let database = builder.create_with_backend(file)?;
     let mut start = [0; MAGIC.len()];
     medium.read(0, &mut start)?;
-    Ok((database, (start == *MAGIC).then(|| medium as Arc<dyn StorageBackend>)))
-}
-
-fn begins_with(mut file: &File, words: &[u8]) -> bool {
-    let mut start = vec![0; words.len()];
-    io::Read::read_exact(&mut file, &mut start).is_ok() && start == words
+    Ok((database, (start == *MAGIC).then_some(medium as Arc<dyn StorageBackend>)))
 }
 
 /// The present start of the machine. `None` where the system does not tell.

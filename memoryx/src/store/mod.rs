@@ -146,13 +146,6 @@ struct OpenFile {
     is_logged: AtomicBool,
 }
 
-impl OpenFile {
-    fn new(database: Database, log: Option<Log>) -> Self {
-        let is_logged = log.as_ref().is_some_and(|log| !log.stored.is_empty());
-        Self { database, log: Mutex::new(log), is_logged: AtomicBool::new(is_logged) }
-    }
-}
-
 /// The long-term memory of an agent.
 pub struct LongTermMemory {
     path: Option<PathBuf>,

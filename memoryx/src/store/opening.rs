@@ -3,9 +3,10 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use redb::{Database, ReadableDatabase};
 
 use super::checked::{Opened, Spoiled};
@@ -82,8 +83,10 @@ impl LongTermMemory {
             let (database, log) = self.opened().map_err(|e| self.opening(e))?;
             self.check_format(&database)?;
             let round = Totals::read(&database.begin_read()?.open_table(META)?)?.round;
-            let log = log.map(|log| Log::read(log, round, self.salvages.load(Ordering::Acquire)));
-            Ok(Arc::new(OpenFile::new(database, log.transpose()?)))
+            let log =
+                log.map(|log| Log::read(log, round, self.salvages.load(Ordering::Acquire))).transpose()?;
+            let is_logged = AtomicBool::new(log.as_ref().is_some_and(|log| !log.stored.is_empty()));
+            Ok(Arc::new(OpenFile { database, log: Mutex::new(log), is_logged }))
         })?;
         *open = Some(Arc::clone(&database));
         Ok(database)

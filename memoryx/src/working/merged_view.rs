@@ -77,7 +77,7 @@ impl MergedView<'_> {
                 known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
             }
         }
-        Ok((known, end.map(|(id, version)| Cursor { id, version })))
+        Ok((known, end))
     }
 
     /// Adds the selection entity by entity, for queries that count snapshots.
@@ -169,8 +169,8 @@ impl MergedView<'_> {
 
 /// The position of a snapshot in the order of parts. For queries of one snapshot per entity, parts do not divide
 /// entities.
-fn place(snapshot: &Snapshot, query: &Query) -> (EntityId, u64) {
-    (snapshot.id.clone(), if is_one(query.times) { u64::MAX } else { snapshot.version })
+fn place(snapshot: &Snapshot, query: &Query) -> Cursor {
+    if is_one(query.times) { Cursor::behind(&snapshot.id) } else { Cursor::after(snapshot) }
 }
 
 /// Whether a query selects at most one snapshot per entity.
