@@ -106,10 +106,7 @@ pub fn joined(names: &[&str]) -> String {
         return name;
     }
     let hash = Sha256::digest(whole.as_bytes());
-    let mut cut = name.len().min(MAX_NAME_BYTES);
-    while !name.is_char_boundary(cut) {
-        cut -= 1;
-    }
+    let cut = name.floor_char_boundary(MAX_NAME_BYTES);
     let hash: String = hash.iter().take(6).map(|byte| format!("{byte:02x}")).collect();
     format!("{}-{hash}", &name[..cut])
 }

@@ -209,13 +209,9 @@ impl ServedMemory {
     async fn take_updates(self, mut updates: Subscription) {
         let mut dropped = 0;
         while let Some(message) = updates.next().await {
-            let mut next = Some(message);
-            let mut begun = Vec::new();
-            while let Some(message) = next {
-                begun.push((self.begin_update(&message), message));
-                next = if begun.len() < MAX_GROUP { updates.try_next() } else { None };
-            }
-            for (begun, message) in begun {
+            let waiting = std::iter::once(message).chain(std::iter::from_fn(|| updates.try_next()));
+            let group = waiting.take(MAX_GROUP).map(|message| (self.begin_update(&message), message));
+            for (begun, message) in group.collect::<Vec<_>>() {
                 if let Err(error) = async { begun?.await }.await {
                     let sender = self.session.sender(message.sender.as_deref()).await;
                     self.refusals.note(&sender, &message.key, &error);

@@ -1,6 +1,7 @@
 //! Opening the file, sharing it among readers and writers, and the meaning of its errors. After an error, a usable
 //! database comes back only by opening the file again.
 
+use std::io::ErrorKind;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -154,23 +155,18 @@ impl LongTermMemory {
 
     /// The user's error for a redb error at opening.
     fn opening(&self, error: redb::DatabaseError) -> StoreError {
-        let path = self.name.clone();
-        match error {
-            redb::DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path },
-            redb::DatabaseError::UpgradeRequired(format) => {
-                StoreError::NotAStore { path, what: format!("it is of redb's old file format {format}") }
+        let not_a_store = |what| StoreError::NotAStore { path: self.name.clone(), what };
+        match error.into() {
+            redb::Error::UpgradeRequired(format) => {
+                not_a_store(format!("it is of redb's old file format {format}"))
             }
-            redb::DatabaseError::Storage(redb::StorageError::Io(e))
-                if e.kind() == std::io::ErrorKind::InvalidData && !is_spoiled(&e) =>
-            {
-                StoreError::NotAStore { path, what: e.to_string() }
+            redb::Error::Io(e) if e.kind() == ErrorKind::InvalidData && !is_spoiled(&e) => {
+                not_a_store(e.to_string())
             }
-            redb::DatabaseError::Storage(redb::StorageError::Io(e))
-                if e.kind() == std::io::ErrorKind::UnexpectedEof =>
-            {
+            redb::Error::Io(e) if e.kind() == ErrorKind::UnexpectedEof => {
                 self.damaged("it is cut short".into())
             }
-            error => self.fault(error.into()),
+            error => self.fault(Fault::Redb(error)),
         }
     }
 
@@ -180,7 +176,7 @@ impl LongTermMemory {
         match fault {
             Fault::Other(error) => error,
             Fault::Damaged(what) | Fault::Redb(redb::Error::Corrupted(what)) => self.damaged(what),
-            Fault::Redb(redb::Error::Io(e)) if e.kind() == std::io::ErrorKind::StorageFull => {
+            Fault::Redb(redb::Error::Io(e)) if e.kind() == ErrorKind::StorageFull => {
                 StoreError::Full { path }
             }
             Fault::Redb(redb::Error::Io(e)) if is_spoiled(&e) => self.damaged(e.to_string()),
