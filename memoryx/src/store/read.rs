@@ -68,29 +68,29 @@ impl Reader {
         Ok(held.map(|(number, ordered)| Entity { id: id.clone(), number, ordered }))
     }
 
-    /// Passes the matching entities to `act`, in order of address, until it returns that this is enough.
+    /// The matching entities, in order of address.
     pub(super) fn entities(
         &self,
         pattern: &Pattern,
         from: Option<&EntityId>,
-        mut act: impl FnMut(Entity) -> Result<bool, Fault>,
-    ) -> Result<(), Fault> {
-        if let Some(id) = pattern.exact() {
-            return self.entity(&id)?.map_or(Ok(()), |entity| act(entity).map(|_| ()));
-        }
-        let (first, to) = record::entity_range(pattern);
-        let first = from.map_or(first.clone(), |id| first.max(record::entity_key(id)));
-        let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
-        let rows = self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to))?;
-        for row in rows {
-            let (key, value) = row?;
-            let id = record::entity_of(key.value())?;
-            let (number, ordered) = value.value();
-            if pattern.matches(&id) && !act(Entity { id, number, ordered })? {
-                break;
+    ) -> Result<impl Iterator<Item = Result<Entity, Fault>>, Fault> {
+        let (one, rows) = match pattern.exact() {
+            Some(id) => (self.entity(&id)?, None),
+            None => {
+                let (first, to) = record::entity_range(pattern);
+                let first = from.map_or(first.clone(), |id| first.max(record::entity_key(id)));
+                let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
+                (None, Some(self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to))?))
             }
-        }
-        Ok(())
+        };
+        let entities = rows.into_iter().flatten().map(|row| {
+            let (key, value) = row?;
+            let (id, (number, ordered)) = (record::entity_of(key.value())?, value.value());
+            Ok(Entity { id, number, ordered })
+        });
+        let is_asked_for =
+            |entity: &Result<Entity, Fault>| entity.as_ref().map_or(true, |e| pattern.matches(&e.id));
+        Ok(one.map(Ok).into_iter().chain(entities.filter(is_asked_for)))
     }
 
     /// The newest version of an entity, and its row.
@@ -326,7 +326,8 @@ impl LongTermMemory {
         let asked = query.check().map_err(query_error)?;
         self.read(|reader| {
             let mut answer = asked.answer(&|| true);
-            reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
+            for entity in reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id))? {
+                let entity = entity?;
                 if asked.wants(&entity.id) {
                     if asked.clock.is_some() {
                         let newest = reader.newest(entity.number)?;
@@ -334,8 +335,10 @@ impl LongTermMemory {
                     }
                     reader.select(&asked, &entity, &mut answer)?;
                 }
-                Ok(!answer.is_full())
-            })?;
+                if answer.is_full() {
+                    break;
+                }
+            }
             Ok(answer.finish().map_err(query_error)?.snapshots)
         })
     }
@@ -347,12 +350,12 @@ impl LongTermMemory {
     pub fn segments(&self) -> Result<Vec<String>, StoreError> {
         self.read(|reader| {
             let mut segments: Vec<String> = Vec::new();
-            reader.entities(&Pattern::any(), None, |entity| {
-                if segments.last().is_none_or(|last| last != entity.id.segment()) {
-                    segments.push(entity.id.segment().into());
+            for entity in reader.entities(&Pattern::any(), None)? {
+                let id = entity?.id;
+                if segments.last().is_none_or(|last| last != id.segment()) {
+                    segments.push(id.segment().into());
                 }
-                Ok(true)
-            })?;
+            }
             Ok(segments)
         })
     }
@@ -533,11 +536,6 @@ impl Reader {
 
     /// The addresses of all entities by number.
     pub(super) fn addresses(&self) -> Result<BTreeMap<u64, EntityId>, Fault> {
-        let mut ids = BTreeMap::new();
-        self.entities(&Pattern::any(), None, |entity| {
-            ids.insert(entity.number, entity.id);
-            Ok(true)
-        })?;
-        Ok(ids)
+        self.entities(&Pattern::any(), None)?.map(|entity| entity.map(|e| (e.number, e.id))).collect()
     }
 }
