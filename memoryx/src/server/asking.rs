@@ -13,9 +13,10 @@ use tokio::time::Instant;
 
 use super::{BUDGET_KB, Response, ServedMemory, forbid, log_failure};
 use crate::checked_query::Answer;
+use crate::entity::Snapshot;
 use crate::error::MemoryError;
 use crate::maintain;
-use crate::memory::{Head, Heads};
+
 use crate::query::{Cursor, Query};
 use crate::wire::{
     self, HeadsPart, HeadsRequest, MAX_BYTES, MAX_SNAPSHOTS, Maintain, QueryRequest, Snapshots,
@@ -97,8 +98,8 @@ impl ServedMemory {
         let newest = Query { removed: true, most: Some(MAX_HEADS), ..Query::latest(request.pattern) };
         let after = request.after.as_ref().map(Cursor::behind);
         let answer = self.ask(&Query { after, ..newest }, PART_TIME)?;
-        let head = |head: Head| (head.id, head.version, head.arrived_ns, head.removed);
-        let entities = Heads::of(&answer.snapshots).entities.into_iter().map(head).collect();
+        let head = |s: &Arc<Snapshot>| (s.id.clone(), s.version, s.arrived_ns, s.is_removed());
+        let entities = answer.snapshots.iter().map(head).collect();
         let now_ns = Some(self.memory.now_ns());
         Ok(HeadsPart { entities, next: answer.next.map(|next| next.id), now_ns })
     }

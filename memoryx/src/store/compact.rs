@@ -13,7 +13,7 @@ use super::error::Fault;
 use super::log::Given;
 use super::read::row_at;
 use super::record::Records;
-use super::write::{EntityCache, Totals};
+use super::write::Totals;
 use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, META, StoreError, Stored, beside};
 use crate::entity::Snapshot;
 
@@ -108,7 +108,7 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
     for keeps in [true, false] {
         let mut rows = chunks.iter()?.peekable();
         while rows.peek().is_some() {
-            let part = to.write(|writer: &mut super::write::Writer<'_>, _: &EntityCache| {
+            next_chunk = to.write(|writer, _| {
                 (writer.totals.next_chunk, writer.keeps) = (next_chunk, keeps);
                 let mut bytes = 0;
                 for row in rows.by_ref() {
@@ -132,8 +132,7 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
                 }
                 writer.close_chunk()?;
                 Ok((writer.totals.next_chunk, true))
-            });
-            next_chunk = part?;
+            })?;
         }
     }
     Ok(())

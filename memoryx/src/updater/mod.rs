@@ -22,6 +22,7 @@ use armarium_values::{Frame, Observation, ObservedPlace, Search, Shown, Value, V
 use indexmap::IndexSet;
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::attributes::fields;
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::memory::Memory;
@@ -441,9 +442,8 @@ fn last_counts(observation: &Observation) -> bool {
 /// The prior knowledge of a class: size, colour, mass, and its source.
 pub fn enrichment(class: &str, classes: &[Arc<Snapshot>]) -> BTreeMap<String, Value> {
     let Some(known) = classes.iter().find(|s| s.id.entity() == class) else { return BTreeMap::new() };
-    let taken = ["size", "color", "mass", "recognition"];
-    let mut attributes: BTreeMap<String, Value> =
-        taken.iter().filter_map(|name| Some(((*name).to_owned(), known.attribute(name)?.clone()))).collect();
+    let taken = ["size", "color", "mass", "recognition"].map(|name| (name, known.attribute(name).cloned()));
+    let mut attributes = fields(taken);
     attributes.insert("prior".into(), Value::Reference(known.id.reference("ObjectClass")));
     attributes
 }
