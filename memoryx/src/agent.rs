@@ -6,8 +6,6 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use armarium_bus::Session;
@@ -22,7 +20,7 @@ use crate::remote::RemoteMemory;
 use crate::server::{MemoryServer, ServerOptions};
 use crate::share::{FollowSettings, Following};
 use crate::store::{Consolidator, Dropped, LongTermMemory, Policies, Policy, Retention};
-use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
+use crate::working::{AwaitedThread, Backing, Clock, MemoryLimits, WorkingMemory};
 
 /// How often snapshots are stored that a policy has held back for long enough.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
@@ -121,24 +119,25 @@ pub struct AgentMemory {
 
 /// The thread that reads long-term memory into working memory after the start. Dropping it ends it.
 struct LoadingThread {
-    ended: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    /// While this is there, the thread reads on. Dropped first (the order of the fields).
+    _goes_on: Arc<()>,
+    _thread: Option<AwaitedThread>,
 }
 
 impl LoadingThread {
     /// Reads everything: beside all others where the runtime has several threads, and at once where it has one, because virtual
     /// time does not wait for another thread.
     fn start(store: &Arc<LongTermMemory>, memory: &Arc<WorkingMemory>) -> Result<Self, MemoryError> {
-        let ended = Arc::new(AtomicBool::new(false));
+        let goes_on = Arc::new(());
         let many = Handle::try_current().is_ok_and(|h| h.runtime_flavor() == RuntimeFlavor::MultiThread);
         if !many {
             store.load_into(memory, Pattern::any())?;
             memory.set_partial(false);
-            return Ok(Self { ended, thread: None });
+            return Ok(Self { _goes_on: goes_on, _thread: None });
         }
-        let (store, memory, stop) = (Arc::clone(store), Arc::clone(memory), Arc::clone(&ended));
-        let read = move || {
-            let goes_on = || !stop.load(Ordering::Acquire);
+        let (store, memory, wanted) = (Arc::clone(store), Arc::clone(memory), Arc::downgrade(&goes_on));
+        let thread = AwaitedThread::start("memory-reading", "no thread to read it", move || {
+            let goes_on = || wanted.strong_count() > 0;
             match store.load_while(&memory, Pattern::any(), &goes_on) {
                 Ok(_) if goes_on() => memory.set_partial(false),
                 Ok(_) => {}
@@ -146,19 +145,8 @@ impl LoadingThread {
                     tracing::error!(%error, "long-term memory could not be read into working memory")
                 }
             }
-        };
-        let thread = std::thread::Builder::new().name("memory-reading".into()).spawn(read);
-        let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread to read it: {e}") })?;
-        Ok(Self { ended, thread: Some(thread) })
-    }
-}
-
-impl Drop for LoadingThread {
-    fn drop(&mut self) {
-        self.ended.store(true, Ordering::Release);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        });
+        Ok(Self { _goes_on: goes_on, _thread: Some(thread?) })
     }
 }
 

@@ -58,6 +58,11 @@ impl Attributes {
     }
 }
 
+/// A map of the fields that have a value.
+pub(crate) fn fields<const N: usize>(fields: [(&str, Option<Value>); N]) -> BTreeMap<String, Value> {
+    fields.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
+}
+
 impl From<BTreeMap<String, Value>> for Attributes {
     fn from(map: BTreeMap<String, Value>) -> Self {
         Self(map.into_iter().map(|(name, value)| (name.into_boxed_str(), value)).collect())

@@ -52,8 +52,6 @@ pub(crate) trait ChangeSource: Send + Sync {
     async fn recv(&mut self) -> Result<Arc<Snapshot>, RecvError>;
     /// The next change, if one waits.
     fn try_recv(&mut self) -> Result<Arc<Snapshot>, TryRecvError>;
-    /// Whether no change waits.
-    fn is_empty(&self) -> bool;
     /// Every change that arrived in the memory before this time was received, ns; 0 when unknown.
     fn until_ns(&self) -> u64;
     /// Whether the last loss was that of the memory itself, which has begun anew or was away.
@@ -103,10 +101,6 @@ impl Changes {
         &self.pattern
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
-        self.source.is_empty()
-    }
-
     pub(crate) fn until_ns(&self) -> u64 {
         self.source.until_ns()
     }
@@ -134,10 +128,6 @@ impl ChangeSource for Here {
         let change = self.receiver.try_recv()?.take().ok_or(TryRecvError::Lagged(1))?;
         self.until_ns = change.arrived_ns;
         Ok(change)
-    }
-
-    fn is_empty(&self) -> bool {
-        self.receiver.is_empty()
     }
 
     fn until_ns(&self) -> u64 {

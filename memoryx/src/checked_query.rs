@@ -39,11 +39,6 @@ impl Query {
 }
 
 impl CheckedQuery<'_> {
-    /// The query.
-    pub fn query(&self) -> &Query {
-        self.query
-    }
-
     /// Whether an entity can be in the answer.
     pub fn wants(&self, id: &EntityId) -> bool {
         self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)

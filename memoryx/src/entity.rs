@@ -24,7 +24,7 @@ const MAX_NAME_BYTES: usize = 200;
 
 /// The address of an entity: `core segment / provider / entity`, each a name without `/`, `*`, `#`, `?`, `$`.
 /// Ordered by core segment, then provider, then entity. Cheap to clone.
-#[derive(Clone, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct EntityId {
     path: Arc<str>,
     provider_at: u16,
@@ -80,9 +80,7 @@ impl EntityId {
     /// # Errors
     /// [`MemoryError::Name`] when a part is not a valid name.
     pub fn new(segment: &str, provider: &str, entity: &str) -> Result<Self, MemoryError> {
-        for name in [segment, provider, entity] {
-            check_name(name)?;
-        }
+        [segment, provider, entity].into_iter().try_for_each(check_name)?;
         Ok(Self::of_path(format!("{segment}/{provider}/{entity}").into(), segment.len(), provider.len()))
     }
 
@@ -126,12 +124,6 @@ pub fn check_name(name: &str) -> Result<(), MemoryError> {
     Ok(armarium_bus::keys::check_name(name)?)
 }
 
-impl PartialEq for EntityId {
-    fn eq(&self, other: &Self) -> bool {
-        self.path == other.path
-    }
-}
-
 impl Hash for EntityId {
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.path.hash(state);
@@ -162,16 +154,13 @@ impl FromStr for EntityId {
     type Err = MemoryError;
 
     fn from_str(path: &str) -> Result<Self, MemoryError> {
-        let parts = path.split_once('/').and_then(|(segment, rest)| {
-            let (provider, entity) = rest.split_once('/')?;
-            Some([segment, provider, entity])
-        });
-        let Some(names) = parts else {
+        // A third slash would belong to the entity's name, where it is not allowed.
+        let mut names = path.splitn(3, '/');
+        let (Some(segment), Some(provider), Some(entity)) = (names.next(), names.next(), names.next()) else {
             return Err(MemoryError::Name { name: path.chars().take(MAX_NAME_BYTES).collect() });
         };
-        // A third slash would belong to the entity's name, where it is not allowed.
-        names.iter().try_for_each(|name| check_name(name))?;
-        Ok(Self::of_path(path.into(), names[0].len(), names[1].len()))
+        [segment, provider, entity].into_iter().try_for_each(check_name)?;
+        Ok(Self::of_path(path.into(), segment.len(), provider.len()))
     }
 }
 
@@ -198,14 +187,6 @@ impl<'de> Deserialize<'de> for EntityId {
         }
 
         deserializer.deserialize_str(Path)
-    }
-}
-
-impl TryFrom<&Reference> for EntityId {
-    type Error = MemoryError;
-
-    fn try_from(reference: &Reference) -> Result<Self, MemoryError> {
-        reference.id.parse()
     }
 }
 

@@ -47,31 +47,16 @@ fn seconds(ns: u64) -> Value {
 }
 
 impl Name {
-    /// The name at the start of a dotted path, and how many of its parts belong to it.
-    fn of(path: &[&str]) -> Option<(Self, usize)> {
+    /// The name at the start of a dotted path, its type, and how many of the path's parts belong to it.
+    fn of(path: &[&str]) -> Option<(Self, Type, usize)> {
         let attribute = |name: &str| Self::Attribute(name.to_owned());
         match path {
-            ["attributes", name, ..] => Some((attribute(name), 2)),
-            [name, ..] => {
-                let own = OWN.iter().position(|(own, ..)| own == name);
-                Some((own.map_or_else(|| attribute(name), Self::Own), 1))
-            }
+            ["attributes", name, ..] => Some((attribute(name), Type::Any, 2)),
+            [name, ..] => match OWN.iter().position(|(own, ..)| own == name) {
+                Some(own) => Some((Self::Own(own), OWN[own].1.clone(), 1)),
+                None => Some((attribute(name), Type::Any, 1)),
+            },
             [] => None,
-        }
-    }
-
-    fn ty(&self) -> Type {
-        match self {
-            Self::Own(own) => OWN[*own].1.clone(),
-            Self::Attribute(_) => Type::Any,
-        }
-    }
-
-    /// The values that are not attributes.
-    fn value(&self, snapshot: &Snapshot) -> Option<Value> {
-        match self {
-            Self::Own(own) => OWN[*own].2(snapshot),
-            Self::Attribute(_) => None,
         }
     }
 }
@@ -81,8 +66,7 @@ struct Names(RefCell<Vec<Name>>);
 impl Environment for Names {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
         let missing = || Unresolved::new(Unknown::Name, "a name is missing".into(), None, None);
-        let (name, used) = Name::of(path).ok_or_else(missing)?;
-        let ty = name.ty();
+        let (name, ty, used) = Name::of(path).ok_or_else(missing)?;
         let mut names = self.0.borrow_mut();
         let at = names.iter().position(|n| *n == name).unwrap_or_else(|| {
             names.push(name);
@@ -125,8 +109,10 @@ impl Filter {
     /// # Errors
     /// [`MemoryError::Query`] when it is not valid CEL, or cannot be a boolean.
     pub fn compile(source: &str) -> Result<Self, MemoryError> {
-        let wrong =
-            |what: String| MemoryError::Query { what: format!("the filter `{}`: {what}", short(source)) };
+        let wrong = |what: String| {
+            let short: String = source.chars().take(80).collect();
+            MemoryError::Query { what: format!("the filter `{short}`: {what}") }
+        };
         let names = Names(RefCell::default());
         let expression = Expr::compile(source, &names).map_err(|e| wrong(e.message))?;
         if !matches!(expression.ty(), Type::Bool | Type::Any) {
@@ -144,13 +130,13 @@ impl Filter {
 
     /// Whether a snapshot matches.
     pub fn fits(&self, snapshot: &Snapshot) -> bool {
-        let own = self.names.iter().map(|name| name.value(snapshot)).collect();
+        let own = |name: &Name| match name {
+            Name::Own(own) => OWN[*own].2(snapshot),
+            Name::Attribute(_) => None,
+        };
+        let own = self.names.iter().map(own).collect();
         self.expression.test(&SnapshotContext { filter: self, snapshot, own }).unwrap_or(false)
     }
-}
-
-fn short(source: &str) -> String {
-    source.chars().take(80).collect()
 }
 
 #[cfg(test)]

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
+use armarium_bus::keys;
 use armarium_bus::session::Reply;
-use armarium_bus::{Session, SessionConfig, keys};
 use armarium_values::Value;
 
+use crate::remote::tests::pair_with;
 use crate::wire::{self, CommitRequest};
 use crate::*;
 
@@ -16,14 +17,10 @@ fn update(name: &str, time: u64) -> Commit {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nonsense_is_refused_in_words_and_others_are_served() {
-    let session = Session::open(&SessionConfig::default()).await.unwrap();
     let limits =
         MemoryLimits { entities: 3, bytes: 100_000, ahead_ns: Some(1000), ..MemoryLimits::default() };
-    let memory = Arc::new(WorkingMemory::new(Arc::new(|| 500)).with_limits(limits));
-    let _server =
-        MemoryServer::start(&session, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
-    let near = Session::open(&SessionConfig::connected_to(&session.endpoints().await)).await.unwrap();
-    let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
+    let pair = pair_with(limits, Some(Arc::new(|| 500))).await;
+    let (memory, remote, near) = (&pair.memory, &pair.remote, &pair.near);
     let key = keys::memory_commit("alice").unwrap();
     let commit = |v: u32| format!("application/cbor;memoryx/commit;v{v}");
     let deep = vec![0x81; 100_000];

@@ -68,6 +68,7 @@ pub use working::{Archive, Backing, Clock, MemoryLimits, WorkingMemory, tokio_cl
 mod conformance_tests;
 #[cfg(test)]
 mod hostile_tests;
+#[path = "../tests/proxy.rs"]
 #[cfg(test)]
 mod proxy;
 #[cfg(test)]

@@ -81,19 +81,19 @@ impl SpatialRegion {
     /// [`MemoryError::Query`] when one is not finite, or the region is empty.
     pub fn check(&self) -> Result<(), MemoryError> {
         let wrong = |what: &str| Err(MemoryError::Query { what: format!("the region {what}") });
-        let finite = |numbers: &[f64]| numbers.iter().all(|n| n.is_finite());
+        let (point, others) = match self {
+            Self::Box { min, max, .. } => (min, &max[..]),
+            Self::Within { of, radius, .. } => (of, std::slice::from_ref(radius)),
+            Self::Nearest { to, .. } => (to, &[][..]),
+        };
         match self {
-            Self::Box { min, max, .. } if !finite(min) || !finite(max) => {
+            _ if !point.iter().chain(others).all(|n| n.is_finite()) => {
                 wrong("has a number that is not finite")
             }
             Self::Box { min, max, .. } if (0..3).any(|i| min[i] > max[i]) => {
                 wrong("has a minimum above its maximum")
             }
-            Self::Within { of, radius, .. } if !finite(of) || !radius.is_finite() => {
-                wrong("has a number that is not finite")
-            }
             Self::Within { radius, .. } if *radius < 0.0 => wrong("has a negative radius"),
-            Self::Nearest { to, .. } if !finite(to) => wrong("has a number that is not finite"),
             _ => Ok(()),
         }
     }

@@ -65,7 +65,7 @@ impl Times {
 }
 
 /// A position in the order of an answer.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Cursor {
     /// The entity.
     pub id: EntityId,
@@ -146,10 +146,7 @@ impl Pattern {
 
     /// The one entity that it can match, if it names one.
     pub fn exact(&self) -> Option<EntityId> {
-        let (Some(s), Some(p), Some(e)) = (self.exact_segment(), &self.provider, &self.entity) else {
-            return None;
-        };
-        EntityId::new(s, p, e).ok()
+        EntityId::new(self.exact_segment()?, self.provider.as_ref()?, self.entity.as_ref()?).ok()
     }
 
     /// The one core segment that it can match, if it names one.
@@ -222,15 +219,10 @@ impl Query {
     /// Whether an answer has reached the query's bounds, so that there may be more: a query with [`Self::after`] its
     /// last snapshot returns the rest.
     pub fn is_filled_by(&self, answer: &[Arc<Snapshot>]) -> bool {
-        let is_long = |most: u64| {
-            let mut bytes = 0;
-            answer.iter().any(|snapshot| {
-                bytes += snapshot.bytes();
-                bytes >= most
-            })
-        };
+        let bytes = || answer.iter().map(|snapshot| snapshot.bytes()).sum::<u64>();
         !self.is_nearest()
-            && (self.most.is_some_and(|most| answer.len() >= most) || self.most_bytes.is_some_and(is_long))
+            && (self.most.is_some_and(|most| answer.len() >= most)
+                || self.most_bytes.is_some_and(|most| !answer.is_empty() && bytes() >= most))
     }
 }
 

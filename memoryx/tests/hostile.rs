@@ -39,12 +39,14 @@ fn update(provider: &str, name: &str, bytes: usize) -> Commit {
     Commit::new(id, 1, [("data", Value::Bytes(vec![7; bytes]))])
 }
 
-/// Alice's session and memory.
-async fn alice(limits: MemoryLimits) -> (Session, Arc<WorkingMemory>) {
+/// Alice's session and memory, as long as the last of it is there.
+async fn alice(limits: MemoryLimits) -> (Session, Arc<WorkingMemory>, MemoryServer) {
     let session = Session::open(&SessionConfig::default()).await.unwrap();
     let clock = session.clone();
-    let memory = WorkingMemory::new(Arc::new(move || clock.now_ns())).with_limits(limits);
-    (session, Arc::new(memory))
+    let memory = Arc::new(WorkingMemory::new(Arc::new(move || clock.now_ns())).with_limits(limits));
+    let shared = Arc::clone(&memory);
+    let server = MemoryServer::start(&session, "alice", shared, ServerOptions::default()).await.unwrap();
+    (session, memory, server)
 }
 
 async fn connected(far: &Session) -> Session {
@@ -174,9 +176,7 @@ async fn a_million_names_fill_one_share_and_no_more() {
     let _alone = ALONE.lock().await;
     let log = captured_log();
     let limits = MemoryLimits { entities: 20_000, bytes: 64 << 20, shares: 4, ..MemoryLimits::default() };
-    let (far, memory) = alice(limits).await;
-    let _server =
-        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
+    let (far, memory, _server) = alice(limits).await;
     let near = connected(&far).await;
     let carol = RemoteMemory::connect(&near, "alice").await.unwrap();
     let stranger = connected(&far).await;
@@ -216,9 +216,8 @@ async fn a_million_names_fill_one_share_and_no_more() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let _alone = ALONE.lock().await;
-    let (far, memory) = alice(MemoryLimits { history: 4, backlog: 256, ..MemoryLimits::default() }).await;
-    let _server =
-        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
+    let limits = MemoryLimits { history: 4, backlog: 256, ..MemoryLimits::default() };
+    let (far, memory, _server) = alice(limits).await;
 
     // The first subscriber's callback never returns.
     let lazy = connected(&far).await;

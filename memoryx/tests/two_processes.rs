@@ -30,14 +30,22 @@ fn shared_with(file: &Path, policy: Policy) -> AgentMemory {
     AgentMemory::open(&config, Arc::new(|| 1)).unwrap()
 }
 
-/// Commits the versions of one motion, each with the writer's name and a number; says a line for each.
+/// The motion that all write.
+fn wiping() -> EntityId {
+    EntityId::new("Motions", "local", "wiping").unwrap()
+}
+
+/// Commits a version of the motion, with its writer's name and a number.
+fn commit(agent: &AgentMemory, at_ms: u64, by: &str, number: i64) {
+    let content = [("by", by.into()), ("number", Value::Int(number))];
+    agent.memory().commit_now(vec![Commit::new(wiping(), at_ms * 1_000_000, content)]).unwrap();
+}
+
+/// Commits many versions, and says a line for each.
 fn write(file: &Path, writer: &str, said: &mut dyn Write) {
     let agent = shared(file);
-    let id = EntityId::new("Motions", "local", "wiping").unwrap();
     for number in 0..VERSIONS {
-        let content =
-            BTreeMap::from([("by".to_owned(), writer.into()), ("number".to_owned(), Value::Int(number))]);
-        agent.memory().commit_now(vec![Commit::new(id.clone(), 0, content)]).unwrap();
+        commit(&agent, 0, writer, number);
         writeln!(said, "{number}").unwrap();
     }
     agent.flush().unwrap();
@@ -60,10 +68,7 @@ fn own(file: &Path, said: &mut dyn Write) {
     let config = MemoryConfig::new("local").with_store(file);
     match AgentMemory::open(&config, Arc::new(|| 1)) {
         Ok(agent) => {
-            let commit = Commit::new(EntityId::new("Motions", "local", "wiping").unwrap(), 0, []);
-            for _ in 0..10 {
-                agent.memory().commit_now(vec![commit.clone()]).unwrap();
-            }
+            (0..10).for_each(|number| commit(&agent, 0, ALONE, number));
             writeln!(said, "has it").unwrap();
             let _ = std::io::stdin().lines().count();
         }
@@ -157,17 +162,12 @@ fn a_writer_that_is_killed_damages_nothing() {
 fn what_runs_restore_is_what_the_others_kept_last() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("armarium.redb");
-    let id = EntityId::new("Motions", "local", "wiping").unwrap();
-    let commit = |agent: &AgentMemory, by: &str| {
-        let content = BTreeMap::from([("by".to_owned(), Value::from(by))]);
-        agent.memory().commit_now(vec![Commit::new(id.clone(), 0, content)]).unwrap();
-    };
     let (first, second) = (shared(&file), shared(&file));
-    commit(&first, "first");
-    commit(&second, "second");
-    commit(&first, "first again");
+    commit(&first, 0, "first", 1);
+    commit(&second, 0, "second", 2);
+    commit(&first, 0, "first again", 3);
     let third = shared(&file);
-    let newest = third.memory().latest_now(&id).unwrap();
+    let newest = third.memory().latest_now(&wiping()).unwrap();
     assert_eq!((newest.version, newest.attribute("by")), (3, Some(&Value::from("first again"))));
 }
 
@@ -176,22 +176,16 @@ fn what_runs_restore_is_what_the_others_kept_last() {
 fn what_is_written_last_is_the_newest_whatever_its_version_was() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("armarium.redb");
-    let id = EntityId::new("Motions", "local", "wiping").unwrap();
     let rated = || shared_with(&file, Policy::AtMost { hz: 1.0 });
     let (first, second) = (rated(), rated());
-    let commit = |agent: &AgentMemory, at_ms: u64, by: &str| {
-        let content = BTreeMap::from([("by".to_owned(), Value::from(by))]);
-        let commit = Commit::new(id.clone(), at_ms * 1_000_000, content);
-        agent.memory().commit_now(vec![commit]).unwrap();
-    };
     for (number, at_ms) in [0, 100, 200, 300, 5000].into_iter().enumerate() {
-        commit(&first, at_ms, &format!("first {number}"));
+        commit(&first, at_ms, &format!("first {number}"), 0);
     }
     for (number, at_ms) in [0, 2000, 2100].into_iter().enumerate() {
-        commit(&second, at_ms, &format!("second {number}"));
+        commit(&second, at_ms, &format!("second {number}"), 0);
     }
     second.flush().unwrap();
-    let newest = rated().memory().latest_now(&id).unwrap();
+    let newest = rated().memory().latest_now(&wiping()).unwrap();
     assert_eq!(newest.attribute("by"), Some(&Value::from("second 2")));
     drop((first, second));
     let store = LongTermMemory::open(&file).unwrap();

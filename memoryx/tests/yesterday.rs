@@ -7,7 +7,8 @@ use std::sync::Arc;
 use armarium_bus::session::Reply;
 use armarium_bus::{Key, Session, SessionConfig, decode, encode, keys};
 use armarium_memoryx::{MemoryServer, ServerOptions, WorkingMemory};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
+use serde_json::json;
 
 /// A commit of `Things/p/cup` with `value: 7`, as it was recorded.
 const COMMIT: &str = "\
@@ -57,39 +58,10 @@ struct Instance {
     confidence: f64,
 }
 
-#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Value {
     Int(i64),
-}
-
-/// An update and a query with fields that this program does not know, and without those that may be left out.
-#[derive(Serialize)]
-struct TomorrowsCommit {
-    updates: Vec<TomorrowsUpdate>,
-    sent_ns: u64,
-    priority: u8,
-}
-
-#[derive(Serialize)]
-struct TomorrowsUpdate {
-    id: String,
-    referenced_ns: u64,
-    referenced_clock: String,
-    instances: Vec<TomorrowsInstance>,
-}
-
-#[derive(Serialize)]
-struct TomorrowsInstance {
-    attributes: BTreeMap<String, Value>,
-    confidence: f64,
-    origin: Vec<String>,
-}
-
-#[derive(Serialize)]
-struct TomorrowsQuery {
-    times: String,
-    sorted_by: String,
 }
 
 fn bytes(hex: &str) -> Vec<u8> {
@@ -134,14 +106,15 @@ async fn it_is_understood_and_understands() {
     assert!(changes.epoch > 0 && changes.first + changes.snapshots.len() as u64 == 1, "{changes:?}");
     assert!(changes.until_ns == 7 && changes.snapshots.iter().all(|change| change == cup));
 
-    let attributes = BTreeMap::from([("value".to_owned(), Value::Int(8))]);
-    let instances = vec![TomorrowsInstance { attributes, confidence: 1.0, origin: vec!["door".into()] }];
-    let (id, referenced_clock) = ("Things/p/plate".to_owned(), "run".to_owned());
-    let update = TomorrowsUpdate { id, referenced_ns: 7, referenced_clock, instances };
-    let commit = TomorrowsCommit { updates: vec![update], sent_ns: 5, priority: 3 };
+    // An update and a query with fields that this program does not know, and without those that may be left out.
+    let instance = json!({"attributes": {"value": {"int": 8}}, "confidence": 1.0, "origin": ["door"]});
+    let update = json!({
+        "id": "Things/p/plate", "referenced_ns": 7, "referenced_clock": "run", "instances": [instance],
+    });
+    let commit = json!({"updates": [update], "sent_ns": 5, "priority": 3});
     let (_, payload) = ask(&near, "commit;v1", encode(&commit).unwrap()).await;
     assert_eq!(decode::<Versions>(&payload).unwrap().0, [1]);
-    let query = TomorrowsQuery { times: "latest".into(), sorted_by: "size".into() };
+    let query = json!({"times": "latest", "sorted_by": "size"});
     let (_, payload) = ask(&near, "query;v1", encode(&query).unwrap()).await;
     assert_eq!(decode::<Snapshots>(&payload).unwrap().snapshots.len(), 2);
 }

@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use armarium_memoryx::infer::{USUAL_PLACES, conclude_once};
 use armarium_memoryx::{
-    Commit, Consolidator, EntityId, LongTermMemory, Memory, MemoryLimits, Pattern, Policies, Policy, Query,
-    Times, UsualPlaces, WorkingMemory, distance, place_of,
+    Commit, EntityId, Memory, MemoryLimits, Pattern, Policies, Policy, Query, Times, UsualPlaces,
+    WorkingMemory, distance, place_of,
 };
 use armarium_values::{Frame, Value, Vector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Meter, say};
+use super::{Meter, on_file, say};
 
 const HZ: u64 = 30;
 const SECONDS: u64 = 60;
@@ -47,9 +47,8 @@ pub(super) async fn axes() {
 
 fn by_policy(name: &str, policy: Policy) {
     let folder = tempfile::tempdir().expect("a folder");
-    let store = Arc::new(LongTermMemory::open(&folder.path().join("axes.redb")).expect("a file"));
-    let kept = Consolidator::new(Arc::clone(&store), Policies::all(policy)).expect("it can be read");
-    let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(kept));
+    let (store, memory) =
+        on_file(&folder.path().join("axes.redb"), Policies::all(policy), MemoryLimits::default());
     let (frames, step_ns) = (HZ * SECONDS, 1_000_000_000 / HZ);
     let start = Meter::start();
     for frame in 0..frames {

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_memoryx::{
-    Coding, Commit, Consolidator, EntityId, LongTermMemory, Pattern, Policies, Policy, Query, Times,
+    Coding, Commit, EntityId, LongTermMemory, MemoryLimits, Pattern, Policies, Policy, Query, Times,
     WorkingMemory,
 };
 use armarium_values::Value;
 use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 
-use super::{Meter, median, resident_mb, say};
+use super::{Meter, median, on_file, resident_mb, say};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -73,9 +73,7 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
     let what = if coded { "JPEG" } else { "raw" };
     let camera = Camera::new();
     let id = EntityId::new("Images", "camera", "left").expect("a name");
-    let store = Arc::new(LongTermMemory::open(&path).expect("a file"));
-    let kept = Consolidator::new(Arc::clone(&store), policies(coded)).expect("it can be read");
-    let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(kept));
+    let (store, memory) = on_file(&path, policies(coded), MemoryLimits::default());
     let period = Duration::from_secs(1) / HZ;
     let (mut waits, mut late, mut refused) = (Vec::new(), 0_u64, 0_u64);
     let start = Meter::start();

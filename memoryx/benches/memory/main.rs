@@ -7,9 +7,13 @@
 
 #![allow(clippy::print_stdout, reason = "it prints figures")]
 
+use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use armarium_memoryx::{Commit, EntityId};
+use armarium_memoryx::{
+    Commit, Consolidator, EntityId, LongTermMemory, MemoryLimits, Policies, WorkingMemory,
+};
 use armarium_values::Value;
 
 mod axes;
@@ -18,6 +22,8 @@ mod durable;
 mod finding;
 mod frames;
 mod link;
+#[path = "../../tests/proxy.rs"]
+mod proxy;
 mod scale;
 mod shared;
 mod starts;
@@ -30,6 +36,14 @@ fn id(n: u64) -> EntityId {
 
 fn commit(n: u64, bytes: usize) -> Commit {
     Commit::new(id(n), n, [("data", Value::Bytes(vec![n as u8; bytes]))])
+}
+
+/// A memory on a file, which has what the policies select.
+fn on_file(file: &Path, policies: Policies, limits: MemoryLimits) -> (Arc<LongTermMemory>, WorkingMemory) {
+    let store = Arc::new(LongTermMemory::open(file).expect("a file"));
+    let kept = Consolidator::new(Arc::clone(&store), policies).expect("it can be read");
+    let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(limits).with_backing(Arc::new(kept));
+    (store, memory)
 }
 
 fn median(mut times: Vec<Duration>) -> f64 {

@@ -133,10 +133,7 @@ impl Follower {
     /// # Errors
     /// As [`Memory::query`]; the next call that notices the gap queries it again.
     pub async fn next(&mut self) -> Result<Option<Change>, MemoryError> {
-        loop {
-            if let Some(change) = self.ready.pop_front() {
-                return Ok(Some(change));
-            }
+        while self.ready.is_empty() {
             if self.gap.is_some() {
                 self.catch_up().await?;
                 continue;
@@ -147,6 +144,7 @@ impl Follower {
                 Err(RecvError::Closed) => return Ok(None),
             }
         }
+        Ok(self.ready.pop_front())
     }
 
     /// The changes that are available without waiting, at most `most`.
@@ -167,11 +165,6 @@ impl Follower {
         }
         let count = most.min(self.ready.len());
         Ok(self.ready.drain(..count).collect())
-    }
-
-    /// Whether all changes so far were reported.
-    pub fn is_caught_up(&self) -> bool {
-        self.ready.is_empty() && self.changes.is_empty() && self.gap.is_none()
     }
 
     fn note_gap(&mut self) {
@@ -204,12 +197,6 @@ impl Follower {
             self.most_reported = MIN_REPORTED.max(2 * self.reported.len());
         }
         Ok(())
-    }
-
-    /// How many entities it remembers.
-    #[cfg(test)]
-    pub(crate) fn remembered(&self) -> usize {
-        self.reported.len()
     }
 
     /// Reads what is missing. After an error, it is still missing.

@@ -22,7 +22,6 @@ use sha2::{Digest, Sha256};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinSet;
 
-use crate::attributes::Attributes;
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::memory::Memory;
@@ -107,10 +106,7 @@ pub fn joined(names: &[&str]) -> String {
         return name;
     }
     let hash = Sha256::digest(whole.as_bytes());
-    let mut cut = name.len().min(MAX_NAME_BYTES);
-    while !name.is_char_boundary(cut) {
-        cut -= 1;
-    }
+    let cut = name.floor_char_boundary(MAX_NAME_BYTES);
     let hash: String = hash.iter().take(6).map(|byte| format!("{byte:02x}")).collect();
     format!("{}-{hash}", &name[..cut])
 }
@@ -132,13 +128,10 @@ impl Conclusion {
 
 /// Whether two instances are equal, apart from their evidence.
 fn equal_apart_from_evidence(a: &Instance, b: &Instance) -> bool {
-    let without = |attributes: &Attributes| {
-        let mut map = attributes.to_map();
-        map.remove("because");
-        map
-    };
+    let (a_says, b_says) = (a.attributes.iter(), b.attributes.iter());
+    let is_no_evidence = |(name, _): &(&str, &Value)| *name != "because";
     (a.confidence - b.confidence).abs() < SAME_CONFIDENCE
-        && without(&a.attributes) == without(&b.attributes)
+        && a_says.filter(is_no_evidence).eq(b_says.filter(is_no_evidence))
         && a.covariance == b.covariance
 }
 

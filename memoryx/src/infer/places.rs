@@ -74,34 +74,28 @@ struct DayShare<'s> {
 type Cells = BTreeMap<(u64, [i64; 3]), Cell>;
 
 /// All sightings, by class and frame.
-#[derive(Default)]
-struct Sightings(BTreeMap<(String, String), Cells>);
+type Sightings = BTreeMap<(String, String), Cells>;
 
-impl Sightings {
-    /// Counts a snapshot of a day before today, which held until the next one of its entity at `until_ns`.
-    fn count(&mut self, snapshot: &Snapshot, until_ns: u64, today_ns: u64) {
-        let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
-        let carried = text("motion_model").is_some_and(|model| model != "static");
-        let (Some((frame, place)), Some(class)) = (place_of(snapshot), text("class")) else { return };
-        let is_early = snapshot.referenced_ns < today_ns;
-        if !is_early
-            || carried
-            || text("attached_to").is_some()
-            || place.iter().any(|x| x.abs() > MAX_DISTANCE)
-        {
-            return;
-        }
-        let held_s = until_ns.saturating_sub(snapshot.referenced_ns) as f64 * 1e-9;
-        let seconds = held_s.min(COUNTS_S.0).max(COUNTS_S.1);
-        let seen = self.0.entry((class.to_owned(), frame.0.clone())).or_default();
-        let at = place.map(|x| (x / CELL).floor() as i64);
-        let cell = seen.entry((snapshot.referenced_ns / DAY_NS, at)).or_default();
-        cell.seconds += seconds;
-        cell.places += Vector3::from(place) * seconds;
-        cell.sightings += 1;
-        cell.last_ns = cell.last_ns.max(snapshot.referenced_ns);
-        cell.sources.insert(snapshot.id.clone(), snapshot.version);
+/// Counts a snapshot of a day before today, which held until the next one of its entity at `until_ns`.
+fn count(sightings: &mut Sightings, snapshot: &Snapshot, until_ns: u64, today_ns: u64) {
+    let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
+    let carried =
+        text("motion_model").is_some_and(|model| model != "static") || text("attached_to").is_some();
+    let (Some((frame, place)), Some(class)) = (place_of(snapshot), text("class")) else { return };
+    let is_near = place.iter().all(|x| x.abs() <= MAX_DISTANCE);
+    if carried || !is_near || snapshot.referenced_ns >= today_ns {
+        return;
     }
+    let held_s = until_ns.saturating_sub(snapshot.referenced_ns) as f64 * 1e-9;
+    let seconds = held_s.min(COUNTS_S.0).max(COUNTS_S.1);
+    let seen = sightings.entry((class.to_owned(), frame.0.clone())).or_default();
+    let at = place.map(|x| (x / CELL).floor() as i64);
+    let cell = seen.entry((snapshot.referenced_ns / DAY_NS, at)).or_default();
+    cell.seconds += seconds;
+    cell.places += Vector3::from(place) * seconds;
+    cell.sightings += 1;
+    cell.last_ns = cell.last_ns.max(snapshot.referenced_ns);
+    cell.sources.insert(snapshot.id.clone(), snapshot.version);
 }
 
 /// The cells with their fractions of their days, the largest first.
@@ -239,15 +233,15 @@ impl Inference for UsualPlaces {
             for next in piece {
                 if let Some(last) = &last {
                     let until_ns = if last.id == next.id { next.referenced_ns } else { u64::MAX };
-                    sightings.count(last, until_ns.min(today_ns), today_ns);
+                    count(&mut sightings, last, until_ns.min(today_ns), today_ns);
                 }
                 last = Some(next);
             }
         }
         if let Some(last) = &last {
-            sightings.count(last, today_ns, today_ns);
+            count(&mut sightings, last, today_ns, today_ns);
         }
-        let found = sightings.0.iter().map(|((class, frame), seen)| places(class, frame, seen));
+        let found = sightings.iter().map(|((class, frame), seen)| places(class, frame, seen));
         Ok(found.flatten().collect())
     }
 }

@@ -14,7 +14,7 @@ use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, UnitQuaternion};
 use serde::Serialize;
 
-use crate::attributes::Attributes;
+use crate::attributes::{Attributes, fields};
 use crate::entity::{Commit, EntityId, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
@@ -82,18 +82,16 @@ pub struct PriorKnowledge {
 }
 
 impl Recognition {
-    /// Every method with the name that files and memory use.
-    pub const NAMES: [(&'static str, Self); 1] = [("color", Self::Color)];
-
     /// The method of that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::NAMES.iter().find(|(n, _)| *n == name).map(|(_, method)| *method)
+    fn from_name(name: &str) -> Option<Self> {
+        (name == Self::Color.name()).then_some(Self::Color)
     }
 
     /// The name that files and memory use.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        Self::NAMES.iter().find(|(_, method)| *method == self).map_or("color", |(n, _)| n)
+    fn name(self) -> &'static str {
+        match self {
+            Self::Color => "color",
+        }
     }
 }
 
@@ -200,19 +198,15 @@ impl ObjectClass {
     /// The class as attributes of its entity.
     pub fn attributes(&self) -> BTreeMap<String, Value> {
         let color = self.color.iter().map(|c| Value::Int(i64::from(*c))).collect::<Vec<_>>();
-        let mut attributes = BTreeMap::from([
-            ("color".to_owned(), Value::List(color)),
-            ("size".to_owned(), Value::from(self.size)),
-            ("recognition".to_owned(), Value::from(self.recognition.name())),
-            ("grasps".to_owned(), Value::List(self.grasps.iter().map(grasp_value).collect())),
-        ]);
-        if !self.description.is_empty() {
-            attributes.insert("description".into(), Value::from(self.description.as_str()));
-        }
-        if let Some(mass) = self.mass {
-            attributes.insert("mass".into(), Value::Float(mass));
-        }
-        attributes
+        let description = Some(self.description.as_str()).filter(|text| !text.is_empty());
+        fields([
+            ("color", Some(Value::List(color))),
+            ("size", Some(self.size.into())),
+            ("recognition", Some(self.recognition.name().into())),
+            ("grasps", Some(Value::List(self.grasps.iter().map(grasp_value).collect()))),
+            ("description", description.map(Value::from)),
+            ("mass", self.mass.map(Value::Float)),
+        ])
     }
 }
 
@@ -223,16 +217,12 @@ fn rgb(value: &Value) -> Option<[u8; 3]> {
 }
 
 fn grasp_value(grasp: &GraspPose) -> Value {
-    let mut fields = BTreeMap::from([
-        ("name".to_owned(), Value::from(grasp.name.as_str())),
-        ("pose".to_owned(), Value::Pose(grasp.pose.clone())),
-    ]);
-    for (name, length) in [("approach", grasp.approach), ("aperture", grasp.aperture)] {
-        if let Some(length) = length {
-            fields.insert(name.into(), Value::Float(length));
-        }
-    }
-    Value::Map(fields)
+    Value::Map(fields([
+        ("name", Some(grasp.name.as_str().into())),
+        ("pose", Some(Value::Pose(grasp.pose.clone()))),
+        ("approach", grasp.approach.map(Value::Float)),
+        ("aperture", grasp.aperture.map(Value::Float)),
+    ]))
 }
 
 fn grasp_from(value: &Value) -> Option<GraspPose> {

@@ -21,6 +21,7 @@ use armarium_values::{Frame, Pose, Value};
 
 use super::file::duplicate;
 use super::{PriorKnowledge, pose};
+use crate::attributes::fields;
 use crate::entity::{Commit, EntityId, check_name};
 use crate::error::MemoryError;
 
@@ -100,33 +101,6 @@ pub fn schema() -> serde_json::Value {
     armarium_source::schema::<SceneFile>()
 }
 
-/// What is impossible about a thing of a scene.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SceneError {
-    /// Its name cannot be part of an address.
-    #[error(transparent)]
-    Name(#[from] MemoryError),
-    /// Another one has its name.
-    #[error("two things are named `{name}`")]
-    Twice {
-        /// The name.
-        name: String,
-    },
-    /// A number is not finite.
-    #[error("`{name}` has a number that is not finite")]
-    NotFinite {
-        /// The thing.
-        name: String,
-    },
-    /// Its size is none.
-    #[error("`{name}` has a size that is not three lengths over 0 m")]
-    Size {
-        /// The thing.
-        name: String,
-    },
-}
-
 /// Whether a file is one of a scene: its outermost level has the key `scene`.
 pub(super) fn is_scene(text: &str) -> bool {
     outermost(text, "scene").is_some()
@@ -155,44 +129,32 @@ pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene,
             findings.error_help(code::REFERENCE, node.place("class"), message, help);
         }
         let pose = pose(Frame(file.frame.clone()), position, rpy_deg.map(f64::to_radians));
-        if let Err(error) = scene.add(Placed { name, class, pose, size }) {
-            let code = match error {
-                SceneError::Name(_) => code::NAME,
-                SceneError::Twice { .. } => code::DUPLICATE,
-                _ => code::VALUE,
-            };
-            findings.error(code, node.place("name"), error.to_string());
+        let mut numbers = pose.position.iter().chain(&pose.orientation).chain(size.iter().flatten());
+        let place = node.place("name");
+        if let Err(error) = check_name(&name) {
+            findings.error(code::NAME, place, error.to_string());
+        } else if scene.things.iter().any(|other| other.name == name) {
+            findings.error(code::DUPLICATE, place, format!("two things are named `{name}`"));
+        } else if numbers.any(|x| !x.is_finite()) {
+            findings.error(code::VALUE, place, format!("`{name}` has a number that is not finite"));
+        } else if size.is_some_and(|size| size.iter().any(|x| *x <= 0.0)) {
+            findings.error(
+                code::VALUE,
+                place,
+                format!("`{name}` has a size that is not three lengths over 0 m"),
+            );
+        } else {
+            scene.things.push(Placed { name, class, pose, size });
         }
     }
     if findings.list.is_empty() { Ok(scene) } else { Err(findings.list) }
 }
 
 impl Scene {
-    /// Adds a thing.
-    ///
-    /// # Errors
-    /// What is impossible about it.
-    pub fn add(&mut self, thing: Placed) -> Result<(), SceneError> {
-        check_name(&thing.name)?;
-        let name = || thing.name.clone();
-        if self.things.iter().any(|other| other.name == thing.name) {
-            return Err(SceneError::Twice { name: name() });
-        }
-        let numbers = thing.pose.position.iter().chain(&thing.pose.orientation);
-        if !numbers.chain(thing.size.iter().flatten()).all(|x| x.is_finite()) {
-            return Err(SceneError::NotFinite { name: name() });
-        }
-        if thing.size.is_some_and(|size| size.iter().any(|x| *x <= 0.0)) {
-            return Err(SceneError::Size { name: name() });
-        }
-        self.things.push(thing);
-        Ok(())
-    }
-
     /// The scene as attributes of its entity: `description`, and `things`, a list of maps with `name`, `pose`, and `class` or
     /// `size`.
     pub fn attributes(&self) -> BTreeMap<String, Value> {
-        let thing = |thing: &Placed| Value::Map(thing.attributes(Some(("name", thing.name.as_str().into()))));
+        let thing = |thing: &Placed| Value::Map(thing.attributes(Some(&thing.name)));
         BTreeMap::from([
             ("description".to_owned(), Value::from(self.description.as_str())),
             ("things".to_owned(), Value::List(self.things.iter().map(thing).collect())),
@@ -220,11 +182,13 @@ impl Scene {
 }
 
 impl Placed {
-    fn attributes(&self, name: Option<(&str, Value)>) -> BTreeMap<String, Value> {
-        let class = self.class.as_ref().map(|class| ("class", Value::from(class.as_str())));
-        let size = self.size.map(|size| ("size", Value::from(size)));
-        let pose = Some(("pose", Value::Pose(self.pose.clone())));
-        [name, class, size, pose].into_iter().flatten().map(|(n, value)| (n.to_owned(), value)).collect()
+    fn attributes(&self, name: Option<&str>) -> BTreeMap<String, Value> {
+        fields([
+            ("name", name.map(Value::from)),
+            ("class", self.class.as_deref().map(Value::from)),
+            ("size", self.size.map(Value::from)),
+            ("pose", Some(Value::Pose(self.pose.clone()))),
+        ])
     }
 }
 

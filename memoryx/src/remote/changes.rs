@@ -64,15 +64,12 @@ impl RemoteChanges {
 impl Received {
     fn take(&mut self, key: &str, changes: ChangesMessage) {
         let position = StreamPosition { epoch: changes.epoch, number: changes.first };
-        if !self.streams.contains_key(key) {
-            self.streams.insert(key.to_owned(), StreamReader::default());
-        }
-        let reader = self.streams.get_mut(key);
-        match reader.map(|reader| reader.arrive(position, changes.snapshots.len())) {
-            Some(Arrival::NewEpoch) => self.lose(true),
-            Some(Arrival::After(_)) => self.lose(false),
+        let reader = self.streams.entry(key.to_owned()).or_default();
+        match reader.arrive(position, changes.snapshots.len()) {
+            Arrival::NewEpoch => self.lose(true),
+            Arrival::After(_) => self.lose(false),
             // What was sent before the first message is in the heads that are read after the subscription.
-            Some(Arrival::First | Arrival::InOrder | Arrival::Again) | None => {}
+            Arrival::First | Arrival::InOrder | Arrival::Again => {}
         }
         self.sent_until_ns = changes.until_ns;
         self.waiting.extend(changes.snapshots);
@@ -119,8 +116,7 @@ impl ChangeSource for RemoteChanges {
             match self.try_recv() {
                 Ok(change) => return Ok(change),
                 Err(TryRecvError::Lagged(count)) => return Err(RecvError::Lagged(count)),
-                Err(TryRecvError::Closed) => return Err(RecvError::Closed),
-                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Empty | TryRecvError::Closed) => {}
             }
             tokio::select! {
                 biased;
@@ -149,11 +145,6 @@ impl ChangeSource for RemoteChanges {
             }
             self.received.note_dropped(self.messages.dropped());
         }
-    }
-
-    /// Zenoh's queue does not say whether it is empty, so nothing more is known to wait.
-    fn is_empty(&self) -> bool {
-        self.received.waiting.is_empty() && !self.received.is_lost
     }
 
     fn until_ns(&self) -> u64 {

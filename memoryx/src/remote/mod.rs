@@ -73,15 +73,13 @@ impl RemoteMemory {
     /// `questions`: the key of the queryable.
     async fn connect_on(session: &Session, agent: &str, questions: Key) -> Result<Self, MemoryError> {
         let remote = Self { session: session.clone(), agent: agent.into(), questions };
-        let mut tries = 0;
-        loop {
-            tries += 1;
-            match remote.answers().await {
-                Ok(()) => return Ok(remote),
-                Err(error) if tries == MAX_TRIES => return Err(error),
-                Err(_) => tokio::time::sleep(RETRY_INTERVAL).await,
+        for _ in 1..MAX_TRIES {
+            if remote.answers().await.is_ok() {
+                return Ok(remote);
             }
+            tokio::time::sleep(RETRY_INTERVAL).await;
         }
+        remote.answers().await.map(|()| remote)
     }
 
     /// Asks for nothing, and waits for the answer.
@@ -100,17 +98,18 @@ impl RemoteMemory {
     }
 
     async fn ask<Q: Payload, A: Payload>(&self, request: &Q) -> Result<A, MemoryError> {
-        let failed = |error: armarium_bus::CodecError| self.failed(&error.to_string());
-        let (encoding, payload) = wire::seal(request).map_err(failed)?;
+        let (encoding, payload) = wire::seal(request).map_err(|error| self.failed(error))?;
         let answer = self.session.query_one(&self.questions, "", Some((&encoding, payload))).await;
-        match answer.map_err(|error| self.failed(&error.to_string()))? {
-            Reply::Message(message) => wire::open(&message.encoding, &message.payload).map_err(failed),
+        match answer.map_err(|error| self.failed(error))? {
+            Reply::Message(message) => {
+                wire::open(&message.encoding, &message.payload).map_err(|error| self.failed(error))
+            }
             Reply::Refusal { encoding, payload } => Err(wire::open::<MemoryError>(&encoding, &payload)
-                .unwrap_or_else(|_| self.failed(&String::from_utf8_lossy(&payload)))),
+                .unwrap_or_else(|_| self.failed(String::from_utf8_lossy(&payload)))),
         }
     }
 
-    fn failed(&self, what: &str) -> MemoryError {
+    fn failed(&self, what: impl ToString) -> MemoryError {
         unreachable_memory(&self.agent, what)
     }
 }
@@ -163,7 +162,7 @@ impl Memory for RemoteMemory {
     }
 
     async fn subscribe(&self, pattern: &Pattern) -> Result<Changes, MemoryError> {
-        let failed = |error: SessionError| self.failed(&error.to_string());
+        let failed = |error: SessionError| self.failed(error);
         let one = pattern.exact_segment();
         let keys = keys::memory_changes(&self.agent, one)?;
         let messages = self.session.subscribe(keys, QUEUE).await.map_err(failed)?;
@@ -177,4 +176,4 @@ impl Memory for RemoteMemory {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use armarium_bus::{Reply, SessionConfig};
 use armarium_values::Value;
@@ -14,30 +14,45 @@ use crate::follow::{Change, Follower};
 use crate::proxy::{ProxyState, counting_proxy, proxy};
 use crate::server::{MemoryServer, ServerOptions};
 use crate::wire::ChangesMessage;
-use crate::working::{MemoryLimits, WorkingMemory};
+use crate::working::{Clock, MemoryLimits, WorkingMemory};
 
-struct Pair {
-    memory: Arc<WorkingMemory>,
-    remote: RemoteMemory,
-    near: Session,
+/// A memory that is shared as Alice's, and as another session sees it.
+pub(crate) struct Pair {
+    pub(crate) memory: Arc<WorkingMemory>,
+    pub(crate) remote: RemoteMemory,
+    pub(crate) near: Session,
     far: Session,
     _server: MemoryServer,
 }
 
-async fn pair() -> Pair {
-    let memory = WorkingMemory::new(Arc::new(|| 0));
-    let memory = Arc::new(memory.with_limits(MemoryLimits { history: 64, ..MemoryLimits::default() }));
+async fn serve(far: &Session, memory: &Arc<WorkingMemory>) -> MemoryServer {
+    MemoryServer::start(far, "alice", Arc::clone(memory), ServerOptions::default()).await.unwrap()
+}
+
+/// A pair whose memory has the clock of its session, or another one.
+pub(crate) async fn pair_with(limits: MemoryLimits, clock: Option<Clock>) -> Pair {
     let far = Session::open(&SessionConfig::default()).await.unwrap();
-    let server =
-        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
+    let own = far.clone();
+    let clock = clock.unwrap_or_else(|| Arc::new(move || own.now_ns()));
+    let memory = Arc::new(WorkingMemory::new(clock).with_limits(limits));
+    let server = serve(&far, &memory).await;
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
     Pair { memory, remote, near, far, _server: server }
 }
 
+async fn pair() -> Pair {
+    pair_with(MemoryLimits { history: 64, ..MemoryLimits::default() }, Some(Arc::new(|| 0))).await
+}
+
+/// The next change, of which none is missing.
+async fn new(follower: &mut Follower) -> Arc<Snapshot> {
+    let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+    snapshot
+}
+
 fn commit(name: &str, value: i64) -> Commit {
-    let id = EntityId::new("Things", "p", name).unwrap();
-    Commit::new(id, 1, BTreeMap::from([("value".to_owned(), Value::Int(value))]))
+    Commit::new(EntityId::new("Things", "p", name).unwrap(), 1, [("value", Value::Int(value))])
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -86,17 +101,11 @@ async fn forged_changes_have_no_effect() {
     pair.memory.commit_now(vec![commit("end", 0)]).unwrap();
     let mut heard = Vec::new();
     while heard.last().is_none_or(|(name, _)| name != "end") {
-        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        let snapshot = new(&mut follower).await;
         heard.push((snapshot.id.entity().to_owned(), snapshot.version));
     }
     let expected: Vec<_> = (1..=5).map(|v| ("a".to_owned(), v)).chain([("end".to_owned(), 1)]).collect();
     assert_eq!(heard, expected);
-}
-
-/// Bytes that a session receives from another through a proxy.
-async fn counted(far: &Session) -> (Session, Arc<AtomicU64>) {
-    let (endpoint, bytes) = counting_proxy(&far.endpoints().await[0]).await;
-    (Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap(), bytes)
 }
 
 /// One entity of a large memory is read for the price of one; who follows a core segment gets nothing of another.
@@ -109,25 +118,27 @@ async fn connecting_costs_what_is_asked_for() {
     };
     pair.memory.commit_now((0..2000).map(|n| large("Things", n)).collect()).unwrap();
     pair.memory.commit_now(vec![commit("small", 1)]).unwrap();
-    let (session, bytes) = counted(&pair.far).await;
+    let (endpoint, bytes) = counting_proxy(&pair.far.endpoints().await[0]).await;
+    let session = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
+    let received = || bytes[1].load(Ordering::Relaxed);
     // What the sessions say to each other before anybody asks for anything.
     RemoteMemory::connect(&session, "alice").await.unwrap();
-    let before = bytes.load(Ordering::Relaxed);
+    let before = received();
     let remote = RemoteMemory::connect(&session, "alice").await.unwrap();
     remote.latest(&commit("small", 1).id).await.unwrap();
-    let got = bytes.load(Ordering::Relaxed) - before;
+    let got = received() - before;
     assert!(got < 10_000, "{got} bytes for one entity");
 
-    let before = bytes.load(Ordering::Relaxed);
+    let before = received();
     let (mut follower, _) = Follower::from_now(Arc::new(remote), Pattern::segment("Others")).await.unwrap();
     let id = EntityId::new("Others", "p", "e").unwrap();
     for n in 1..=10 {
         pair.memory.commit_now((0..50).map(|n| large("Things", n)).collect()).unwrap();
         pair.memory.commit_now(vec![Commit::new(id.clone(), n, [("value", Value::Int(1))])]).unwrap();
-        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        let snapshot = new(&mut follower).await;
         assert_eq!(snapshot.version, n);
     }
-    let got = bytes.load(Ordering::Relaxed) - before;
+    let got = received() - before;
     assert!(got < 50_000, "{got} bytes of a core segment with ten changes, beside 10 MB of another one");
 }
 
@@ -142,20 +153,17 @@ async fn a_leader_whose_clock_goes_back_is_followed_on() {
     drop((server, memory));
     let anew = Arc::new(WorkingMemory::new(Arc::new(|| 0)));
     anew.commit_now(vec![commit("a", 7), commit("b", 8)]).unwrap();
-    let _server =
-        MemoryServer::start(&far, "alice", Arc::clone(&anew), ServerOptions::default()).await.unwrap();
+    let _server = serve(&far, &anew).await;
     let mut heard = BTreeMap::new();
     while heard.len() < 2 {
-        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
-        heard.insert(
-            snapshot.id.entity().to_owned(),
-            (snapshot.version, snapshot.attribute("value").cloned()),
-        );
+        let snapshot = new(&mut follower).await;
+        let value = snapshot.attribute("value").cloned();
+        heard.insert(snapshot.id.entity().to_owned(), (snapshot.version, value));
     }
     let expected = [("a", 7), ("b", 8)].map(|(name, v)| (name.to_owned(), (1, Some(Value::Int(v)))));
     assert_eq!(heard, BTreeMap::from(expected));
     anew.commit_now(vec![commit("a", 9)]).unwrap();
-    let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+    let snapshot = new(&mut follower).await;
     assert_eq!((snapshot.id.entity(), snapshot.version), ("a", 2));
 }
 
@@ -163,8 +171,7 @@ async fn a_leader_whose_clock_goes_back_is_followed_on() {
 async fn received_until(follower: &mut Follower, last: u64) -> Vec<u64> {
     let mut heard = Vec::new();
     while heard.last() != Some(&last) {
-        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
-        heard.push(snapshot.version);
+        heard.push(new(follower).await.version);
     }
     heard
 }
@@ -204,14 +211,9 @@ async fn the_last_changes_are_not_missed() {
 /// Changes faster than anyone can follow: none is lost, and none is reported twice.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_flooded_arrives_whole() {
-    let far = Session::open(&SessionConfig::default()).await.unwrap();
-    let clock = far.clone();
-    let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
-    let memory = Arc::new(memory.with_limits(MemoryLimits { history: 256, ..MemoryLimits::default() }));
-    let _server =
-        MemoryServer::start(&far, "alice", Arc::clone(&memory), ServerOptions::default()).await.unwrap();
-    let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
-    let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
+    let limits = MemoryLimits { history: 256, ..MemoryLimits::default() };
+    let Pair { memory, remote, _server, .. } = pair_with(limits, None).await;
+    let remote = Arc::new(remote);
     let mut follower = Follower::from_start(remote, Pattern::any()).await.unwrap();
     let (groups, entities) = (2000, 1000);
     let writer = tokio::spawn(async move {
@@ -223,7 +225,7 @@ async fn what_is_flooded_arrives_whole() {
     });
     let mut newest: BTreeMap<EntityId, u64> = BTreeMap::new();
     for _ in 0..groups * 100 {
-        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        let snapshot = new(&mut follower).await;
         let before = newest.insert(snapshot.id.clone(), snapshot.version).unwrap_or(0);
         assert_eq!(snapshot.version, before + 1, "{}", snapshot.id);
     }

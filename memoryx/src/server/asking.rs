@@ -13,9 +13,10 @@ use tokio::time::Instant;
 
 use super::{BUDGET_KB, Response, ServedMemory, forbid, log_failure};
 use crate::checked_query::Answer;
+use crate::entity::Snapshot;
 use crate::error::MemoryError;
 use crate::maintain;
-use crate::memory::{Head, Heads};
+
 use crate::query::{Cursor, Query};
 use crate::wire::{
     self, HeadsPart, HeadsRequest, MAX_BYTES, MAX_SNAPSHOTS, Maintain, QueryRequest, Snapshots,
@@ -46,18 +47,13 @@ impl ServedMemory {
         room
     }
 
-    /// Waits for one of the slots in which queries are answered.
-    async fn turn(&self) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.queries).acquire_owned().await.ok()
-    }
-
     /// Answers a query or maintenance when a slot is free. The slot is freed before the answer is sent, because the
     /// caller decides how long that takes.
     pub(super) async fn answer_aside(self, question: IncomingQuery) {
         let Some(_room) = self.reserve_budget(&question).await else { return };
-        let turn = self.turn().await;
+        let slot = self.queries.acquire().await;
         let answer = block_in_place(|| self.answer(&question));
-        drop(turn);
+        drop(slot);
         self.send(&question, answer).await;
     }
 
@@ -65,7 +61,7 @@ impl ServedMemory {
     fn answer(&self, question: &IncomingQuery) -> Response {
         let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
         if encoding.starts_with("application/cbor;memoryx/maintain;") {
-            let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            let request: Maintain = self.opened(encoding, payload)?;
             let writer = self.writer(question);
             if self.options.guarded && writer != Some(self.agent.as_str()) {
                 return Err(forbid("long-term memory".into(), writer));
@@ -73,11 +69,9 @@ impl ServedMemory {
             return self.sealed(&maintain::carry_out(request, self.options.store.as_deref(), &self.memory)?);
         }
         if encoding.starts_with("application/cbor;memoryx/list;") {
-            let request = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            return self.sealed(&self.heads(request)?);
+            return self.sealed(&self.heads(self.opened(encoding, payload)?)?);
         }
-        let request: QueryRequest = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-        self.sealed(&self.page(request)?)
+        self.sealed(&self.page(self.opened(encoding, payload)?)?)
     }
 
     /// As much of an answer as fits into one message and into the time of one part.
@@ -104,8 +98,8 @@ impl ServedMemory {
         let newest = Query { removed: true, most: Some(MAX_HEADS), ..Query::latest(request.pattern) };
         let after = request.after.as_ref().map(Cursor::behind);
         let answer = self.ask(&Query { after, ..newest }, PART_TIME)?;
-        let head = |head: Head| (head.id, head.version, head.arrived_ns, head.removed);
-        let entities = Heads::of(&answer.snapshots).entities.into_iter().map(head).collect();
+        let head = |s: &Arc<Snapshot>| (s.id.clone(), s.version, s.arrived_ns, s.is_removed());
+        let entities = answer.snapshots.iter().map(head).collect();
         let now_ns = Some(self.memory.now_ns());
         Ok(HeadsPart { entities, next: answer.next.map(|next| next.id), now_ns })
     }
@@ -149,12 +143,12 @@ impl ServedMemory {
             Err(error) => return self.refuse(question, &error).await,
         };
         loop {
-            let turn = self.turn().await;
+            let slot = self.queries.acquire().await;
             let answer = match block_in_place(|| self.ask(&query, WHOLE_TIME)) {
                 Ok(answer) => answer,
                 Err(error) => return self.refuse(question, &error).await,
             };
-            drop(turn);
+            drop(slot);
             for snapshot in answer.snapshots {
                 let Some((key, encoding, payload)) = wire::of_entity(&self.agent, &snapshot) else {
                     continue;

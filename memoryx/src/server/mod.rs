@@ -66,8 +66,7 @@ impl MemoryServer {
         memory: Arc<WorkingMemory>,
         options: ServerOptions,
     ) -> Result<Self, MemoryError> {
-        let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
-        let requests = keys::memory_commit(agent)?;
+        let failed = |error: SessionError| unreachable_memory(agent, error);
         let entities = wire::every_entity(agent)?;
 
         let publisher = ChangePublisher::new(session, agent, Arc::clone(&memory)).await?;
@@ -83,11 +82,10 @@ impl MemoryServer {
             refusals: Arc::default(),
         };
         let mut tasks = JoinSet::new();
-        let questions = session.declare_queryable(requests, QUEUE).await.map_err(failed)?;
-        tasks.spawn(shared.clone().answer_requests(questions));
-        let by_pattern = keys::memory_by_pattern(agent)?;
-        let questions = session.declare_queryable(by_pattern, QUEUE).await.map_err(failed)?;
-        tasks.spawn(shared.clone().answer_requests(questions));
+        for key in [keys::memory_by_pattern(agent)?, keys::memory_commit(agent)?.into()] {
+            let questions = session.declare_queryable(key, QUEUE).await.map_err(failed)?;
+            tasks.spawn(shared.clone().answer_requests(questions));
+        }
         let gets = session.declare_queryable(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
@@ -98,8 +96,8 @@ impl MemoryServer {
     }
 }
 
-pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
-    MemoryError::Remote { agent: agent.into(), what: what.into() }
+pub(crate) fn unreachable_memory(agent: &str, what: impl ToString) -> MemoryError {
+    MemoryError::Remote { agent: agent.into(), what: what.to_string() }
 }
 
 /// The encoding and the bytes of an answer, or the refusal.
@@ -151,13 +149,17 @@ impl ServedMemory {
         &self,
         question: &IncomingQuery,
     ) -> Result<impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<>, MemoryError> {
-        let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
-        let request = self.permitted(question, request.map_err(|error| self.not_understood(&error))?)?;
+        let request: CommitRequest = self.opened(&question.encoding, &question.payload)?;
+        self.check_permitted(question, &request)?;
         Ok(self.memory.enqueue(request.updates, request.sent_ns))
     }
 
+    fn opened<T: Payload>(&self, encoding: &str, payload: &[u8]) -> Result<T, MemoryError> {
+        wire::open(encoding, payload).map_err(|error| unreachable_memory(&self.agent, error))
+    }
+
     fn sealed<T: Payload>(&self, content: &T) -> Response {
-        wire::seal(content).map_err(|error| self.not_understood(&error))
+        wire::seal(content).map_err(|error| unreachable_memory(&self.agent, error))
     }
 
     async fn send(&self, question: &IncomingQuery, answer: Response) {
@@ -178,12 +180,8 @@ impl ServedMemory {
         }
     }
 
-    /// The request, if its writer may write all of it.
-    fn permitted(
-        &self,
-        question: &IncomingQuery,
-        request: CommitRequest,
-    ) -> Result<CommitRequest, MemoryError> {
+    /// Checks that a request's writer may write all of it.
+    fn check_permitted(&self, question: &IncomingQuery, request: &CommitRequest) -> Result<(), MemoryError> {
         let is_own = |writer: &str, provider: &str| {
             writer == self.agent
                 || provider.strip_prefix(writer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
@@ -193,14 +191,7 @@ impl ServedMemory {
             Some(writer) => !is_own(writer, update.id.provider()),
             None => self.options.guarded,
         });
-        match forbidden {
-            Some(update) => Err(forbid(update.id.to_string(), writer)),
-            None => Ok(request),
-        }
-    }
-
-    fn not_understood(&self, error: &armarium_bus::CodecError) -> MemoryError {
-        unreachable_memory(&self.agent, &error.to_string())
+        forbidden.map_or(Ok(()), |update| Err(forbid(update.id.to_string(), writer)))
     }
 
     /// Sends the refusal to the caller, and logs the sender.
@@ -218,13 +209,9 @@ impl ServedMemory {
     async fn take_updates(self, mut updates: Subscription) {
         let mut dropped = 0;
         while let Some(message) = updates.next().await {
-            let mut next = Some(message);
-            let mut begun = Vec::new();
-            while let Some(message) = next {
-                begun.push((self.begin_update(&message), message));
-                next = if begun.len() < MAX_GROUP { updates.try_next() } else { None };
-            }
-            for (begun, message) in begun {
+            let waiting = std::iter::once(message).chain(std::iter::from_fn(|| updates.try_next()));
+            let group = waiting.take(MAX_GROUP).map(|message| (self.begin_update(&message), message));
+            for (begun, message) in group.collect::<Vec<_>>() {
                 if let Err(error) = async { begun?.await }.await {
                     let sender = self.session.sender(message.sender.as_deref()).await;
                     self.refusals.note(&sender, &message.key, &error);
@@ -242,11 +229,10 @@ impl ServedMemory {
         &self,
         message: &Message,
     ) -> Result<impl Future<Output = Result<Vec<u64>, MemoryError>> + Send + use<>, MemoryError> {
-        let not_understood = |what: String| unreachable_memory(&self.agent, &what);
-        let update: Commit =
-            wire::open(&message.encoding, &message.payload).map_err(|e| not_understood(e.to_string()))?;
+        let update: Commit = self.opened(&message.encoding, &message.payload)?;
         if !message.key.ends_with(&format!("/memory/{}", update.id)) {
-            return Err(not_understood(format!("the update is of `{}`, not of its key", update.id)));
+            let what = format!("the update is of `{}`, not of its key", update.id);
+            return Err(unreachable_memory(&self.agent, what));
         }
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
         Ok(self.memory.enqueue(vec![update], sent_ns))

@@ -59,7 +59,7 @@ impl ChangePublisher {
         agent: &str,
         memory: Arc<WorkingMemory>,
     ) -> Result<Self, MemoryError> {
-        let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
+        let failed = |error: SessionError| unreachable_memory(agent, error);
         let changes = memory.changes(&Pattern::any());
         let all_changes = keys::memory_all_changes(agent)?.into();
         Ok(Self {

@@ -38,7 +38,7 @@ pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<
 /// The instance in one's own frame. Poses, points, directions and wrenches in `root` are transformed with their
 /// covariances; those in the world frame stay; other frames get the agent's name as prefix.
 pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Isometry3<f64>>) -> Instance {
-    let (root, translation) = (Frame::root(), Translation { agent, own_from_other });
+    let root = Frame::root();
     let change = own_from_other.map(|to_from_from| FrameChange { from: &root, to: &root, to_from_from });
     let moved = |name: &str, value: &Value| change.map_or_else(|| value.clone(), |by| by.value(name, value));
     let mut covariance = BTreeMap::new();
@@ -47,34 +47,25 @@ pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Iso
         let turned = change.filter(|_| in_root).map(|by| by.covariance(rows));
         covariance.insert(name.clone(), turned.unwrap_or_else(|| rows.clone()));
     }
-    let named = |(name, value): (&str, &Value)| (name.to_owned(), translation.named(moved(name, value)));
-    let attributes = Attributes::from(instance.attributes.iter().map(named).collect::<BTreeMap<_, _>>());
+    let frame = |frame: Frame| {
+        let is_known = frame.0 == WORLD || (frame == root && own_from_other.is_some());
+        if is_known { frame } else { Frame(format!("{agent}/{}", frame.0)) }
+    };
+    let named = |(name, value): (&str, &Value)| (name.into(), in_frames(moved(name, value), &frame));
+    let attributes = Attributes::from_pairs(instance.attributes.iter().map(named).collect());
     Instance { attributes, confidence: instance.confidence, covariance }
 }
 
-/// What another agent says, in one's own words.
-struct Translation<'a> {
-    agent: &'a str,
-    own_from_other: Option<&'a Isometry3<f64>>,
-}
-
-impl Translation<'_> {
-    fn frame(&self, frame: &Frame) -> Frame {
-        let is_known = frame.0 == WORLD || (*frame == Frame::root() && self.own_from_other.is_some());
-        if is_known { frame.clone() } else { Frame(format!("{}/{}", self.agent, frame.0)) }
-    }
-
-    /// The value with the frames that are not one's own named after the agent.
-    fn named(&self, value: Value) -> Value {
-        match value {
-            Value::Vector(v) => Value::Vector(Vector { frame: self.frame(&v.frame), ..v }),
-            Value::Pose(p) => Value::Pose(Pose { frame: self.frame(&p.frame), ..p }),
-            Value::Wrench(w) => Value::Wrench(Wrench { frame: self.frame(&w.frame), ..w }),
-            Value::List(items) => Value::List(items.into_iter().map(|item| self.named(item)).collect()),
-            Value::Map(fields) => {
-                Value::Map(fields.into_iter().map(|(name, field)| (name, self.named(field))).collect())
-            }
-            other => other,
+/// The value with each of its frames replaced.
+fn in_frames(value: Value, frame: &dyn Fn(Frame) -> Frame) -> Value {
+    match value {
+        Value::Vector(v) => Value::Vector(Vector { frame: frame(v.frame), ..v }),
+        Value::Pose(p) => Value::Pose(Pose { frame: frame(p.frame), ..p }),
+        Value::Wrench(w) => Value::Wrench(Wrench { frame: frame(w.frame), ..w }),
+        Value::List(items) => Value::List(items.into_iter().map(|item| in_frames(item, frame)).collect()),
+        Value::Map(fields) => {
+            Value::Map(fields.into_iter().map(|(name, field)| (name, in_frames(field, frame))).collect())
         }
+        other => other,
     }
 }

@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use armarium_values::{Observation, ObservedPlace, Value, Vector};
 use tokio::task::JoinSet;
 
+use crate::attributes::fields;
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower, LastSeen};
@@ -69,10 +70,8 @@ impl Following {
         crate::entity::check_name(&settings.agent)?;
         let told = last_taken(&memory, &settings).await?;
         let follower = Follower::resume(other, settings.pattern.clone(), told).await?;
-        let updater = match &settings.fuse_into {
-            Some(provider) => Some(Updater::new(Arc::<WorkingMemory>::clone(&memory), provider)?),
-            None => None,
-        };
+        let fuses = |provider: &String| Updater::new(Arc::<WorkingMemory>::clone(&memory), provider);
+        let updater = settings.fuse_into.as_ref().map(fuses).transpose()?;
         let (missed, taken) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let task =
             FollowTask { memory, settings, updater, missed: Arc::clone(&missed), taken: Arc::clone(&taken) };
@@ -188,8 +187,7 @@ impl FollowTask {
             }
         }
         if let Some(updater) = &self.updater {
-            let seen: Vec<Observation> = news.iter().filter_map(|(s, _)| self.observation(s)).collect();
-            for observation in seen {
+            for observation in news.iter().filter_map(|(snapshot, _)| self.observation(snapshot)) {
                 log_refusal(updater.adopt(&[observation]).await, &self.settings.agent);
             }
         }
@@ -199,16 +197,13 @@ impl FollowTask {
     /// The update of this memory for a followed snapshot, in this agent's frame.
     fn translated(&self, snapshot: &Snapshot, missed: u64) -> Result<Commit, MemoryError> {
         let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
-        let mut origin = vec![
-            ("agent", Value::from(self.settings.agent.as_str())),
-            ("provider", snapshot.id.provider().into()),
-            ("version", number(snapshot.version)),
-            ("arrived_ns", number(snapshot.arrived_ns)),
-        ];
-        if missed > 0 {
-            origin.push(("missed", number(missed)));
-        }
-        let origin = Value::Map(origin.into_iter().map(|(name, value)| (name.to_owned(), value)).collect());
+        let origin = Value::Map(fields([
+            ("agent", Some(self.settings.agent.as_str().into())),
+            ("provider", Some(snapshot.id.provider().into())),
+            ("version", Some(number(snapshot.version))),
+            ("arrived_ns", Some(number(snapshot.arrived_ns))),
+            ("missed", (missed > 0).then(|| number(missed))),
+        ]));
         let instances = snapshot.instances.iter().map(|instance| {
             let moved = self.moved(instance);
             Instance { attributes: moved.attributes.with("origin", origin.clone()), ..moved }

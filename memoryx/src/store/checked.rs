@@ -17,19 +17,20 @@
 //! not complete. So it is when the header is not as it was written.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fmt::Debug;
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
 use std::io;
 use std::ops::Bound;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use parking_lot::Mutex;
+use parking_lot::{MappedMutexGuard, Mutex, MutexGuard};
 use redb::backends::FileBackend;
 use redb::{BackendError, Builder, Database, DatabaseError, StorageBackend};
 
-use super::log::{LOG_BYTES, LogFile};
+use super::log::{LOG_AT, LOG_BYTES};
 
 /// How the file begins.
 const MAGIC: &[u8; 16] = b"armarium memory2";
@@ -70,15 +71,18 @@ impl From<Spoiled> for io::Error {
     }
 }
 
-/// Opens the database in a file, or creates it, and the file of its log, where it has one. While `salvages` is set, blocks that
-/// are damaged are read nevertheless.
+/// A database, and the file with its log, where it has one.
+pub(super) type Opened = (Database, Option<Arc<dyn StorageBackend>>);
+
+/// Opens the database in a file, or creates it. While `salvages` is set, blocks that are damaged are read nevertheless.
 pub(super) fn open(
     path: &Path,
     builder: &Builder,
     salvages: &Arc<AtomicBool>,
-) -> Result<(Database, Option<LogFile>), DatabaseError> {
+) -> Result<Opened, DatabaseError> {
     let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
-    let is_plain = begins_with(&file, PLAIN);
+    let mut start = [0; PLAIN.len()];
+    let is_plain = io::Read::read_exact(&mut &file, &mut start).is_ok() && start == *PLAIN;
     let backend = FileBackend::new(file)?;
     if is_plain {
         return Ok((builder.create_with_backend(backend)?, None));
@@ -92,18 +96,13 @@ pub(super) fn open_checked(
     builder: &Builder,
     boot: Option<Boot>,
     salvages: &Arc<AtomicBool>,
-) -> Result<(Database, Option<LogFile>), DatabaseError> {
+) -> Result<Opened, DatabaseError> {
     let medium = Arc::new(medium);
     let file = CheckedFile::new(Arc::clone(&medium), boot, Arc::clone(salvages));
     let database = builder.create_with_backend(file)?;
     let mut start = [0; MAGIC.len()];
     medium.read(0, &mut start)?;
-    Ok((database, (start == *MAGIC).then(|| LogFile::new(medium, BLOCK as u64))))
-}
-
-fn begins_with(mut file: &File, words: &[u8]) -> bool {
-    let mut start = vec![0; words.len()];
-    io::Read::read_exact(&mut file, &mut start).is_ok() && start == words
+    Ok((database, (start == *MAGIC).then_some(medium as Arc<dyn StorageBackend>)))
 }
 
 /// The present start of the machine. `None` where the system does not tell.
@@ -224,14 +223,13 @@ impl<F: StorageBackend> CheckedFile<F> {
         crc32fast::hash(block) ^ self.zero
     }
 
-    /// Uses the state, which is read first if that was not done yet.
-    fn with<T>(&self, act: impl FnOnce(&mut FileState) -> io::Result<T>) -> io::Result<T> {
+    /// The state, which is read first if that was not done yet.
+    fn state(&self) -> io::Result<MappedMutexGuard<'_, FileState>> {
         let mut state = self.state.lock();
-        let state = match &mut *state {
-            Some(state) => state,
-            none => none.insert(self.first_state()?),
-        };
-        act(state)
+        if state.is_none() {
+            *state = Some(self.first_state()?);
+        }
+        Ok(MutexGuard::map(state, |state| state.as_mut().expect("it was read")))
     }
 
     fn first_state(&self) -> io::Result<FileState> {
@@ -280,14 +278,10 @@ impl<F: StorageBackend> CheckedFile<F> {
         Ok(())
     }
 
-    fn runs(&self, offset: u64, len: usize) -> io::Result<Vec<BlockRun>> {
-        self.with(|state| state.layout.runs(offset, len))
-    }
-
     fn sums<'s>(&self, state: &'s mut FileState, group: u64) -> io::Result<&'s mut Sums> {
         Ok(match state.groups.entry(group) {
-            std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
-            std::collections::btree_map::Entry::Vacant(unknown) => {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(unknown) => {
                 let mut bytes = [0; BLOCK];
                 self.file.read(state.layout.sums_at(group), &mut bytes)?;
                 let number = |bytes: &[u8]| bytes.first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
@@ -326,126 +320,114 @@ fn in_head(offset: u64, len: usize) -> io::Result<std::ops::Range<usize>> {
     Ok(from..from + len)
 }
 
+/// Functions on locks, which are those of the file below.
+macro_rules! locks_of_the_file {
+    ($($name:ident: $answer:ty,)*) => {$(
+        fn $name(&self, start: Bound<u64>, end: Bound<u64>) -> Result<$answer, BackendError> {
+            self.file.$name(start, end)
+        }
+    )*};
+}
+
 impl<F: StorageBackend> StorageBackend for CheckedFile<F> {
     fn len(&self) -> io::Result<u64> {
         let len = self.file.len()?;
-        self.with(|state| Ok(state.layout.inner_len(len)))
+        Ok(self.state()?.layout.inner_len(len))
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
         if offset < BLOCK as u64 {
             let range = in_head(offset, out.len())?;
-            return self.with(|state| {
-                out.copy_from_slice(&state.head[range]);
-                Ok(())
-            });
+            out.copy_from_slice(&self.state()?.head[range]);
+            return Ok(());
         }
-        for run in self.runs(offset, out.len())? {
+        let layout = self.state()?.layout;
+        for run in layout.runs(offset, out.len())? {
             let bytes = &mut out[run.bytes];
             self.file.read(run.at, bytes)?;
             if self.salvages.load(Ordering::Acquire) {
                 continue;
             }
-            let mut found: Vec<u32> = bytes.chunks(BLOCK).map(|block| self.sum(block)).collect();
-            self.with(|state| {
-                let expected = self.sums(state, run.group)?.sums.iter().skip(run.first);
-                match found.drain(..).zip(expected).position(|(found, expected)| found != *expected) {
-                    None => Ok(()),
-                    Some(at) => Err(Spoiled::Block(run.at / BLOCK as u64 + at as u64).into()),
-                }
-            })?;
+            let found: Vec<u32> = bytes.chunks(BLOCK).map(|block| self.sum(block)).collect();
+            let mut state = self.state()?;
+            let expected = self.sums(&mut state, run.group)?.sums.iter().skip(run.first);
+            if let Some(at) = found.iter().zip(expected).position(|(found, expected)| found != expected) {
+                return Err(Spoiled::Block(run.at / BLOCK as u64 + at as u64).into());
+            }
         }
         Ok(())
     }
 
     fn set_len(&self, len: u64) -> io::Result<()> {
-        self.with(|state| {
-            let before = state.layout.inner_len(self.file.len()?);
-            // What is cut off is zero when it comes back.
-            for block in len / BLOCK as u64..before / BLOCK as u64 {
-                let Some(block) = block.checked_sub(1) else { continue };
-                self.sums(state, block / GROUP)?.set((block % GROUP) as usize, 0);
-            }
-            let groups = (len / BLOCK as u64).saturating_sub(1).div_ceil(GROUP);
-            state.groups.retain(|group, _| *group < groups);
-            self.file.set_len(state.layout.outer_len(len))?;
-            if before == 0 && len > 0 {
-                // Blocks that have been written once are synced without a change of the file's map.
-                self.file.write(BLOCK as u64, &vec![0; LOG_BYTES as usize])?;
-            }
-            Ok(())
-        })
+        let mut state = self.state()?;
+        let before = state.layout.inner_len(self.file.len()?);
+        // What is cut off is zero when it comes back.
+        for block in len / BLOCK as u64..before / BLOCK as u64 {
+            let Some(block) = block.checked_sub(1) else { continue };
+            self.sums(&mut state, block / GROUP)?.set((block % GROUP) as usize, 0);
+        }
+        let groups = (len / BLOCK as u64).saturating_sub(1).div_ceil(GROUP);
+        state.groups.retain(|group, _| *group < groups);
+        self.file.set_len(state.layout.outer_len(len))?;
+        if before == 0 && len > 0 {
+            // Blocks that have been written once are synced without a change of the file's map.
+            self.file.write(LOG_AT, &vec![0; LOG_BYTES as usize])?;
+        }
+        Ok(())
     }
 
     fn sync_data(&self) -> io::Result<()> {
-        let flags = self.with(|state| {
-            self.write_sums(state)?;
-            let (flags, synced) = (state.head[FLAGS_AT], state.synced_flags);
-            let is_first_phase = state.is_head_written
-                && flags & synced & IN_USE != 0
-                && flags & PRIMARY == synced & PRIMARY
-                && self.boot.is_some();
-            Ok((!is_first_phase).then_some(flags))
-        })?;
-        let Some(flags) = flags else { return Ok(()) };
+        let mut state = self.state()?;
+        self.write_sums(&mut state)?;
+        let (flags, synced) = (state.head[FLAGS_AT], state.synced_flags);
+        let is_first_phase = state.is_head_written
+            && flags & synced & IN_USE != 0
+            && flags & PRIMARY == synced & PRIMARY
+            && self.boot.is_some();
+        if is_first_phase {
+            return Ok(());
+        }
+        drop(state);
         self.file.sync_data()?;
-        self.with(|state| {
-            (state.synced_flags, state.is_head_written) = (flags, false);
-            Ok(())
-        })
+        let mut state = self.state()?;
+        (state.synced_flags, state.is_head_written) = (flags, false);
+        Ok(())
     }
 
     fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
         if offset < BLOCK as u64 {
             let range = in_head(offset, data.len())?;
-            return self.with(|state| {
-                state.head[range].copy_from_slice(data);
-                state.head[BOOT_AT..SUM_AT].copy_from_slice(&self.boot.unwrap_or_default());
-                let sum = head_sum(&state.head);
-                state.head[SUM_AT..SUM_AT + 4].copy_from_slice(&sum);
-                state.is_head_written = true;
-                self.file.write(0, &state.head[..])
-            });
+            let mut state = self.state()?;
+            state.head[range].copy_from_slice(data);
+            state.head[BOOT_AT..SUM_AT].copy_from_slice(&self.boot.unwrap_or_default());
+            let sum = head_sum(&state.head);
+            state.head[SUM_AT..SUM_AT + 4].copy_from_slice(&sum);
+            state.is_head_written = true;
+            return self.file.write(0, &state.head[..]);
         }
-        for run in self.runs(offset, data.len())? {
+        let layout = self.state()?.layout;
+        for run in layout.runs(offset, data.len())? {
             let bytes = &data[run.bytes];
             self.file.write(run.at, bytes)?;
             let found: Vec<u32> = bytes.chunks(BLOCK).map(|block| self.sum(block)).collect();
-            self.with(|state| {
-                let sums = self.sums(state, run.group)?;
-                found.into_iter().zip(run.first..).for_each(|(sum, at)| sums.set(at, sum));
-                Ok(())
-            })?;
+            let mut state = self.state()?;
+            let sums = self.sums(&mut state, run.group)?;
+            found.into_iter().zip(run.first..).for_each(|(sum, at)| sums.set(at, sum));
         }
         Ok(())
     }
 
     fn close(&self) -> io::Result<()> {
-        let written = self.with(|state| self.write_sums(state));
+        let written = self.state().and_then(|mut state| self.write_sums(&mut state));
         self.file.close().and(written)
     }
 
-    fn try_lock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<bool, BackendError> {
-        self.file.try_lock_range(start, end)
-    }
-
-    fn try_lock_shared_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<bool, BackendError> {
-        self.file.try_lock_shared_range(start, end)
-    }
-
-    fn lock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<(), BackendError> {
-        self.file.lock_range(start, end)
-    }
-
-    fn lock_shared_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<(), BackendError> {
-        self.file.lock_shared_range(start, end)
-    }
-
-    fn unlock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<(), BackendError> {
-        self.file.unlock_range(start, end)
-    }
-
-    fn query_lock_range(&self, start: Bound<u64>, end: Bound<u64>) -> Result<bool, BackendError> {
-        self.file.query_lock_range(start, end)
+    locks_of_the_file! {
+        try_lock_range: bool,
+        try_lock_shared_range: bool,
+        lock_range: (),
+        lock_shared_range: (),
+        unlock_range: (),
+        query_lock_range: bool,
     }
 }

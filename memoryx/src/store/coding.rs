@@ -35,12 +35,12 @@ impl Coding {
             is_changed |= new.is_some();
             (name.into(), new.unwrap_or_else(|| value.clone()))
         };
-        let instances = snapshot.instances.iter().map(|instance| Instance {
+        let instance = |instance: &Instance| Instance {
             attributes: Attributes::from_pairs(instance.attributes.iter().map(&mut coded).collect()),
             confidence: instance.confidence,
             covariance: instance.covariance.clone(),
-        });
-        let instances = instances.collect();
+        };
+        let instances = snapshot.instances.iter().map(instance).collect();
         if !is_changed {
             return Arc::clone(snapshot);
         }

@@ -10,10 +10,12 @@ use redb::{ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::backup::{COPIED_BYTES, copy_all_but_records};
 use super::error::Fault;
-use super::retain::each_record;
-use super::write::{EntityCache, Totals};
+use super::log::Given;
+use super::read::row_at;
+use super::record::Records;
+use super::write::Totals;
 use super::{AGES, CHUNKS, INDEX, KEPT, LongTermMemory, META, StoreError, Stored, beside};
-use crate::entity::{EntityId, Snapshot};
+use crate::entity::Snapshot;
 
 /// When so few snapshots were stored during the last round, the rest is copied while commits wait.
 const FEW: usize = 64;
@@ -39,7 +41,7 @@ impl LongTermMemory {
     }
 
     /// Notes what is stored, if the file is being copied. Called by the writer.
-    pub(super) fn journal(&self, snapshots: &[Arc<Snapshot>], given: &[(Option<&EntityId>, u64)]) {
+    pub(super) fn journal(&self, snapshots: &[Arc<Snapshot>], given: &[Given]) {
         if let Some(journal) = &mut *self.journal.lock() {
             journal.extend(snapshots, given);
         }
@@ -50,12 +52,12 @@ impl LongTermMemory {
         let mut memo = self.memo.lock();
         self.take_log(&mut memo)?;
         *self.journal.lock() = Some(Stored::default());
-        let memo = self.with(|database| {
+        let memo = self.with(|file| {
             // As long as this is open, no commit has the work of freeing pages: they go with the file.
-            let from = database.begin_read()?;
+            let from = file.database.begin_read()?;
             // The others of a shared file have to wait, because only this process keeps a journal.
             let kept_memo = self.shared.then_some(memo);
-            to.with(|to| copy_all_but_records(&from, to))?;
+            to.with(|to| copy_all_but_records(&from, &to.database))?;
             copy_records(&from, &to)?;
             to.compact_alone()?;
             while self.catch_up(&to)? > FEW {}
@@ -81,7 +83,8 @@ impl LongTermMemory {
         let mut file = open.take().and_then(Arc::into_inner).ok_or_else(|| self.failed("it is in use"))?;
         self.contained(|| Ok(file.database.compact()?))?;
         // The copy goes on with the round of its original.
-        let round = self.contained(|| Ok(Totals::read(&file.begin_read()?.open_table(META)?)?.round))?;
+        let round =
+            self.contained(|| Ok(Totals::read(&file.database.begin_read()?.open_table(META)?)?.round))?;
         file.log.get_mut().iter_mut().for_each(|log| log.begin(round));
         *open = Some(Arc::new(file));
         Ok(())
@@ -91,7 +94,7 @@ impl LongTermMemory {
     fn catch_up(&self, to: &Self) -> Result<usize, StoreError> {
         let journal = self.journal.lock().as_mut().map(take);
         let journal = journal.ok_or_else(|| self.failed("a commit has failed while it was copied"))?;
-        to.persist_with(&journal.snapshots, &journal.given().collect::<Vec<_>>())?;
+        to.persist_with(&journal.snapshots, &journal.given)?;
         Ok(journal.snapshots.len())
     }
 }
@@ -105,7 +108,7 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
     for keeps in [true, false] {
         let mut rows = chunks.iter()?.peekable();
         while rows.peek().is_some() {
-            let part = to.write(|writer: &mut super::write::Writer<'_>, _: &EntityCache| {
+            next_chunk = to.write(|writer, _| {
                 (writer.totals.next_chunk, writer.keeps) = (next_chunk, keeps);
                 let mut bytes = 0;
                 for row in rows.by_ref() {
@@ -114,15 +117,12 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
                     if (kept.get(number)?.is_some() && !aged.contains(&number)) != keeps {
                         continue;
                     }
-                    let mut offset = 0;
-                    each_record(chunk, |head, record| {
-                        let place = index.get((head.number, head.version))?.map(|row| row.value());
-                        if place.is_some_and(|row| (row.0, row.1 as usize) == (number, offset)) {
+                    for (at, record) in (Records { chunk, at: 0 }) {
+                        let (head, record) = record?;
+                        if row_at(&index, head, number, at)?.is_some() {
                             writer.move_record(record, head)?;
                         }
-                        offset += record.len();
-                        Ok(())
-                    })?;
+                    }
                     // `move_record` counts the new ones.
                     writer.totals.bytes = writer.totals.bytes.saturating_sub(chunk.len() as u64);
                     bytes += chunk.len();
@@ -132,8 +132,7 @@ fn copy_records(from: &ReadTransaction, to: &LongTermMemory) -> Result<(), Fault
                 }
                 writer.close_chunk()?;
                 Ok((writer.totals.next_chunk, true))
-            });
-            next_chunk = part?;
+            })?;
         }
     }
     Ok(())

@@ -44,18 +44,6 @@ pub struct Policies {
     pub codings: BTreeMap<String, Coding>,
 }
 
-impl Default for Policies {
-    /// All motions, object classes when they change, and one snapshot per second of the rest.
-    fn default() -> Self {
-        let own = [("Motions", Policy::Everything), ("ObjectClasses", Policy::OnChange)];
-        Self {
-            default: Policy::AtMost { hz: 1.0 },
-            by_segment: own.into_iter().map(|(name, policy)| (name.to_owned(), policy)).collect(),
-            codings: BTreeMap::new(),
-        }
-    }
-}
-
 impl Policies {
     /// One policy for all core segments.
     pub fn all(policy: Policy) -> Self {
@@ -194,7 +182,7 @@ impl Consolidator {
                 given_to_others = given_to_others.max(snapshot.version);
                 continue;
             }
-            if policy.keeps_all() {
+            if matches!(policy, Policy::Everything | Policy::Named(_)) {
                 chosen.push(self.policies.as_kept(snapshot));
                 continue;
             }
@@ -221,7 +209,7 @@ impl Consolidator {
             // What is gone is stored as that, and needs no place in this table.
             if last.is_gone() {
                 last.noted = last.given;
-                notes.push((Some(id), last.given));
+                notes.push((Some(id.clone()), last.given));
                 continue;
             }
             // A stored version need not be noted; while something is written, the next versions are noted along with it.
@@ -229,7 +217,7 @@ impl Consolidator {
             let is_soon = !chosen.is_empty() && last.given + GIVEN_AHEAD / 2 > last.noted;
             if last.given > last.noted.max(stored) || is_soon {
                 last.noted = last.given + GIVEN_AHEAD;
-                notes.push((Some(id), last.noted));
+                notes.push((Some(id.clone()), last.noted));
             }
         }
         let is_noted = given_to_others <= state.noted;
@@ -261,7 +249,7 @@ impl Consolidator {
         let mut state = self.state.lock();
         let mut notes = Vec::new();
         let ahead = state.last.iter().filter(|(_, last)| last.noted > last.given);
-        notes.extend(ahead.map(|(id, last)| (Some(id), last.given)));
+        notes.extend(ahead.map(|(id, last)| (Some(id.clone()), last.given)));
         notes.extend((state.noted > state.given).then_some((None, state.given)));
         self.store.persist_with(&[], &notes)?;
         state.last.values_mut().for_each(|last| last.noted = last.given);
@@ -317,15 +305,11 @@ impl Policy {
         }
     }
 
-    /// Whether the policy selects every snapshot of an entity, independent of earlier ones.
-    fn keeps_all(&self) -> bool {
-        matches!(self, Self::Everything | Self::Named(_))
-    }
-
+    /// Whether the policy selects a snapshot of an entity that it does not ignore, after the last one that was stored.
     fn keeps(&self, snapshot: &Snapshot, kept: Option<&StoredVersion>) -> bool {
-        let Some(kept) = kept else { return !matches!(self, Self::Nothing) };
+        let Some(kept) = kept else { return true };
         match self {
-            Self::Nothing | Self::Everything | Self::Named(_) => self.keeps_all(),
+            Self::Nothing | Self::Everything | Self::Named(_) => true,
             Self::OnChange => kept.content != Some(content(snapshot)),
             // A removal is never held back. When the clock has gone back, counting starts again.
             Self::AtMost { hz } => {
@@ -343,7 +327,7 @@ impl Backing for Consolidator {
     }
 
     fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
-        Ok(self.store.holds_any_of(snapshots)?)
+        self.store.holds_any(snapshots)
     }
 
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {

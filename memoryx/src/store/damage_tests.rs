@@ -1,31 +1,30 @@
 //! Long-term memory in files that are damaged: cut short, with flipped bits, of something else.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::checked;
-use super::tests::snapshot;
+use super::tests::{snapshot, store};
 use super::*;
 use crate::query::Times;
 
 /// The part of the file whose every byte is spoiled once.
 const HEADER_BYTES: usize = 512;
 
-pub(super) fn file_with(folder: &Path, name: &str, snapshots: u64) -> std::path::PathBuf {
-    let path = folder.join(name);
-    let store = LongTermMemory::open(&path).unwrap();
+/// A closed file with snapshots of one entity.
+pub(super) fn file_with(snapshots: u64) -> (tempfile::TempDir, PathBuf) {
+    let (folder, path, store) = store();
     let all: Vec<_> = (1..=snapshots).map(|v| snapshot("S/p/e", v, v, v as i64)).collect();
     store.persist(&all).unwrap();
-    path
+    (folder, path)
 }
 
 #[test]
 fn a_cut_file_is_an_error() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "whole.redb", 500);
+    let (folder, path) = file_with(500);
     let bytes = std::fs::read(&path).unwrap();
     for part in [1, 10, 100, 511, 512, 4095, 4096, 5000, bytes.len() / 2, bytes.len() - 4096, bytes.len() - 1]
     {
@@ -43,8 +42,7 @@ fn a_cut_file_is_an_error() {
 /// Export writes the intact snapshots of a damaged file, and reports that others are missing.
 #[test]
 fn what_is_intact_is_exported_past_what_is_damaged() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "whole.redb", 500);
+    let (_folder, path) = file_with(500);
     let mut whole = Vec::new();
     let count = LongTermMemory::open(&path).unwrap().export(&Pattern::any(), &mut whole).unwrap();
     let mut bytes = std::fs::read(&path).unwrap();
@@ -70,8 +68,7 @@ fn what_is_intact_is_exported_past_what_is_damaged() {
 /// A bit that is flipped anywhere is noticed by whoever reads what it spoils: a query says so, or answers as if nothing was.
 #[test]
 fn a_flipped_bit_is_noticed_when_what_it_spoils_is_read() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "whole.redb", 200);
+    let (folder, path) = file_with(200);
     let store = LongTermMemory::open(&path).unwrap();
     let more = (0..300).map(|n| snapshot(&format!("S/p/other{n}"), 1, n, 1));
     store.persist(&more.collect::<Vec<_>>()).unwrap();

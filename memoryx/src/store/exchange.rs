@@ -43,21 +43,19 @@ impl LongTermMemory {
         let (mut count, mut damages, mut first) = (0_u64, 0_u64, None);
         let mut failure = None;
         self.scan_intact(|snapshot| {
-            let snapshot = match snapshot {
-                Ok(snapshot) => snapshot,
+            match snapshot {
+                Ok(snapshot) if pattern.matches(&snapshot.id) => {
+                    let line = serde_json::to_vec(&snapshot).map_err(std::io::Error::from);
+                    let written = line.and_then(|line| to.write_all(&[&line[..], b"\n"].concat()));
+                    count += 1;
+                    failure = written.err();
+                }
+                Ok(_) => {}
                 Err(what) => {
                     damages += 1;
                     first.get_or_insert(what);
-                    return true;
                 }
-            };
-            if !pattern.matches(&snapshot.id) {
-                return true;
             }
-            let line = serde_json::to_vec(&snapshot).map_err(std::io::Error::from);
-            let written = line.and_then(|line| to.write_all(&[&line[..], b"\n"].concat()));
-            count += 1;
-            failure = written.err();
             failure.is_none()
         })?;
         if let Err(what) = failure.map_or_else(|| to.flush(), Err) {

@@ -13,8 +13,9 @@ use redb::StorageBackend;
 
 use super::checked;
 use super::damage_tests::file_with;
-use super::tests::snapshot;
+use super::tests::{all, removed, snapshot, store};
 use super::*;
+use crate::working::Backing;
 
 /// A medium that loses power: each unsynced write may be there, missing, or there in part.
 #[derive(Clone, Debug, Default)]
@@ -152,7 +153,7 @@ fn keep_until_failure(medium: &Medium, from: u64, to: u64) -> u64 {
 
 fn check_kept(medium: &Medium, acknowledged: u64) {
     let store = medium.store().unwrap();
-    let kept = store.query(&Query::history(Pattern::any())).unwrap();
+    let kept = all(&store);
     let versions: Vec<u64> = kept.iter().map(|s| s.version).collect();
     // The version that was being stored may be there; then it is complete.
     assert!(versions.len() as u64 >= acknowledged && versions.len() as u64 <= acknowledged + 1);
@@ -238,9 +239,8 @@ fn a_small_commit_writes_little_more_than_its_bytes() {
 /// A bit that is flipped in the log, which is read after a kill. The copy of an open file stands for the file of a killed process.
 #[test]
 fn damage_in_the_log_is_noticed() {
-    let folder = tempfile::tempdir().unwrap();
-    let (path, killed) = (folder.path().join("used.redb"), folder.path().join("killed.redb"));
-    let store = LongTermMemory::open(&path).unwrap();
+    let (folder, path, store) = store();
+    let killed = folder.path().join("killed.redb");
     store.persist(&[snapshot("S/p/e", 1, 1, 1)]).unwrap();
     for version in 2..=6 {
         store.persist(&[snapshot("S/p/e", version, version, 1)]).unwrap();
@@ -277,9 +277,8 @@ fn damage_in_the_log_is_noticed() {
 /// What is committed after a compaction is read after a kill, too.
 #[test]
 fn the_log_goes_on_after_compaction() {
-    let folder = tempfile::tempdir().unwrap();
-    let (path, killed) = (folder.path().join("used.redb"), folder.path().join("killed.redb"));
-    let store = LongTermMemory::open(&path).unwrap();
+    let (folder, path, store) = store();
+    let killed = folder.path().join("killed.redb");
     for version in 1..=9 {
         store.persist(&[snapshot("S/p/e", version, version, 1)]).unwrap();
         if version % 3 == 0 {
@@ -288,10 +287,7 @@ fn the_log_goes_on_after_compaction() {
         store.persist(&[snapshot("S/p/f", version, version, 1)]).unwrap();
         std::fs::copy(&path, &killed).unwrap();
         let killed = LongTermMemory::open(&killed).unwrap();
-        assert_eq!(
-            killed.query(&Query::history(Pattern::any())),
-            store.query(&Query::history(Pattern::any()))
-        );
+        assert_eq!(all(&killed), all(&store));
         assert_eq!(killed.stats().unwrap().snapshots, 2 * version);
     }
 }
@@ -446,23 +442,14 @@ const MEGABYTES: u64 = 16;
 /// Names that come and go for 25 minutes, 10 000 a minute: the file stays within its limit. What cannot be kept within it is said.
 #[test]
 fn names_that_come_and_go_leave_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("names.redb");
-    let store = LongTermMemory::open(&path).unwrap();
+    let (_folder, _, store) = store();
     let retention = Retention { age_ns: Some(1000), bytes: Some(MEGABYTES * 1_000_000) };
     let mut most = StoreStats { entities: 0, snapshots: 0, bytes: 0, file_bytes: 0 };
     for minute in 0..15 {
         for part in 0..10 {
             let names = (0..1000).map(|n| format!("S/p/e{minute}-{part}-{n}"));
             let born = names.clone().map(|name| snapshot(&name, 1, minute, 1));
-            let gone = names.map(|name| {
-                let removal = Snapshot {
-                    version: 2,
-                    instances: Vec::new(),
-                    ..(*snapshot(&name, 2, minute, 1)).clone()
-                };
-                Arc::new(removal)
-            });
+            let gone = names.map(|name| removed(&name, 2, minute));
             store.persist(&born.chain(gone).collect::<Vec<_>>()).unwrap();
         }
         let dropped = store.keep_within(retention, minute + 2).unwrap();
@@ -518,8 +505,7 @@ fn acknowledged_versions_are_never_given_again() {
 
 #[test]
 fn a_file_of_the_earlier_format_is_opened() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = file_with(folder.path(), "old.redb", 3);
+    let (_folder, path) = file_with(3);
     let (old, _) = checked::open(&path, &redb::Builder::new(), &Arc::default()).unwrap();
     let write = old.begin_write().unwrap();
     write.delete_table(GIVEN).unwrap();

@@ -1,31 +1,20 @@
 //! Long-term memory beyond single snapshots: large values, names, retention, exchange.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use armarium_values::{Frame, Pose, Reference, Value, Vector, Wrench};
 
-use super::tests::snapshot;
+use super::tests::{all, removed, snapshot, store};
 use super::*;
 use crate::attributes::Attributes;
 use crate::entity::{Commit, Instance};
-
-fn store() -> (tempfile::TempDir, PathBuf, LongTermMemory) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("memory.redb");
-    let store = LongTermMemory::open(&path).unwrap();
-    (folder, path, store)
-}
+use crate::working::Backing;
 
 fn image(version: u64, content: u8) -> Arc<Snapshot> {
     let attributes = [("pixels", Value::Bytes(vec![content; 100_000])), ("n", Value::Int(1))];
     let instances = vec![Instance::new(attributes)];
     Arc::new(Snapshot { instances, ..(*snapshot("Images/eye/left", version, version, 0)).clone() })
-}
-
-fn all(store: &LongTermMemory) -> Vec<Arc<Snapshot>> {
-    store.query(&Query::history(Pattern::any())).unwrap()
 }
 
 /// All kinds of values, nested, with covariances.
@@ -138,7 +127,6 @@ fn retention_is_by_age_and_by_room() {
 #[test]
 fn working_memory_comes_back_under_its_name() {
     let (_folder, path, store) = store();
-    let store = Arc::new(store);
     let memory = WorkingMemory::new(Arc::new(|| 9));
     let commit = |name: &str, value: i64| {
         Commit::new(format!("S/p/{name}").parse().unwrap(), 1, [("value", Value::Int(value))])
@@ -177,7 +165,7 @@ fn what_is_exported_can_be_imported() {
     store.persist(&kept).unwrap();
     let mut lines = Vec::new();
     assert_eq!(store.export(&Pattern::any(), &mut lines), Ok(1501));
-    let (_other_folder, _, other) = self::store();
+    let (_other_folder, _, other) = super::tests::store();
     assert_eq!(other.import(&mut lines.as_slice()), Ok(1501));
     assert_eq!(all(&other), all(&store));
     assert_eq!(other.import(&mut lines.as_slice()), Ok(0), "what is there already is passed over");
@@ -204,7 +192,6 @@ fn compaction_joins_what_came_one_by_one() {
 #[test]
 fn what_is_coded_is_kept_so_and_nothing_contradicts_it() {
     let (_folder, path, store) = store();
-    let store = Arc::new(store);
     let code = |value: &Value| match value {
         Value::Bytes(bytes) => Some(Value::Bytes(bytes.iter().step_by(2).copied().collect())),
         _ => None,
@@ -300,7 +287,6 @@ fn a_memory_without_a_file_counts_what_it_holds_and_says_what_it_lacks() {
 #[test]
 fn commits_beside_a_compaction_are_in_the_new_file() {
     let (_folder, path, store) = store();
-    let store = Arc::new(store);
     let memory = WorkingMemory::new(Arc::new(|| 7)).with_backing(Arc::<LongTermMemory>::clone(&store));
     let commit = |name: &str, value: i64| {
         let update = Commit::new(format!("S/p/{name}").parse().unwrap(), 1, [("value", Value::Int(value))]);
@@ -330,7 +316,7 @@ fn commits_beside_a_compaction_are_in_the_new_file() {
     let store = LongTermMemory::open(&path).unwrap();
     assert_eq!(store.query(&Query::latest(Pattern::any())).unwrap(), held);
     assert_eq!(store.last_given(&"S/p/beside".parse().unwrap()), Ok(beside));
-    assert_eq!(store.query(&Query::history(Pattern::any())).unwrap().len() as u64, 3001 + beside);
+    assert_eq!(all(&store).len() as u64, 3001 + beside);
     assert_eq!(store.named("morning").unwrap().len(), 499);
     assert!(store.verify().unwrap().is_intact());
     assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1, "nothing is left beside it");
@@ -343,9 +329,7 @@ fn what_was_not_read_yet_is_looked_up() {
     let many: Vec<_> =
         (1..=3).flat_map(|v| [snapshot("S/p/a", v, v, 1), snapshot("S/p/b", v, v, 1)]).collect();
     store.persist(&many).unwrap();
-    let removal = Snapshot { instances: Vec::new(), ..(*snapshot("S/p/gone", 2, 2, 1)).clone() };
-    store.persist(&[snapshot("S/p/gone", 1, 1, 1), Arc::new(removal)]).unwrap();
-    let store = Arc::new(store);
+    store.persist(&[snapshot("S/p/gone", 1, 1, 1), removed("S/p/gone", 2, 2)]).unwrap();
     let memory = WorkingMemory::new(Arc::new(|| 7)).with_backing(Arc::<LongTermMemory>::clone(&store));
     memory.set_partial(true);
     let id = |name: &str| -> EntityId { format!("S/p/{name}").parse().unwrap() };

@@ -16,7 +16,6 @@
 //! The transaction that takes entries into the tables counts the round up, so that they are read no more, however it ends. An
 //! entry that was not acknowledged may be there in part, and ends the log; entries behind one that is not whole show damage.
 
-use std::fmt;
 use std::sync::Arc;
 
 use redb::StorageBackend;
@@ -26,58 +25,39 @@ use super::record::{self, ByteReader, RecordError};
 use super::write::{EntityCache, EntityFacts};
 use crate::entity::{EntityId, Snapshot};
 
-/// The length of the part of the file.
+/// Where the part of the file begins, behind its head, and its length.
+pub(super) const LOG_AT: u64 = 4096;
 pub(super) const LOG_BYTES: u64 = 256 << 10;
 /// A larger commit goes into the tables at once: there it costs little more than its bytes.
 const MAX_ENTRY: usize = record::BLOB_FROM;
 const ENTRY_HEAD: usize = 24;
 const ALIGNMENT: usize = 64;
 
-/// Snapshots, and the last versions that may have been given: of an entity, or with `None` of any that is not stored.
+/// The last version that may have been given: to an entity, or with `None` to any that is not stored.
+pub(super) type Given = (Option<EntityId>, u64);
+
+/// Snapshots, and versions that may have been given.
 #[derive(Debug, Default)]
 pub(super) struct Stored {
     pub(super) snapshots: Vec<Arc<Snapshot>>,
-    pub(super) given: Vec<(Option<EntityId>, u64)>,
+    pub(super) given: Vec<Given>,
 }
 
 impl Stored {
-    pub(super) fn extend(&mut self, snapshots: &[Arc<Snapshot>], given: &[(Option<&EntityId>, u64)]) {
+    pub(super) fn extend(&mut self, snapshots: &[Arc<Snapshot>], given: &[Given]) {
         self.snapshots.extend_from_slice(snapshots);
-        self.given.extend(given.iter().map(|(id, version)| (id.cloned(), *version)));
+        self.given.extend_from_slice(given);
     }
 
     pub(super) fn is_empty(&self) -> bool {
         self.snapshots.is_empty() && self.given.is_empty()
-    }
-
-    pub(super) fn given(&self) -> impl Iterator<Item = (Option<&EntityId>, u64)> {
-        self.given.iter().map(|(id, version)| (id.as_ref(), *version))
-    }
-}
-
-/// The part of a file that holds the log.
-pub(super) struct LogFile {
-    file: Arc<dyn StorageBackend>,
-    /// Where it begins, bytes.
-    start: u64,
-}
-
-impl LogFile {
-    pub(super) fn new(file: Arc<dyn StorageBackend>, start: u64) -> Self {
-        Self { file, start }
-    }
-}
-
-impl fmt::Debug for LogFile {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("LogFile").field("start", &self.start).finish_non_exhaustive()
     }
 }
 
 /// The log of an open file.
 #[derive(Debug)]
 pub(super) struct Log {
-    file: LogFile,
+    file: Arc<dyn StorageBackend>,
     round: u64,
     /// Where the next entry goes.
     pub(super) end: usize,
@@ -90,17 +70,11 @@ pub(super) struct Log {
 
 impl Log {
     /// Reads the entries of a round. Past damage only if that is asked for.
-    pub(super) fn read(file: LogFile, round: u64, salvages: bool) -> Result<Self, Fault> {
+    pub(super) fn read(file: Arc<dyn StorageBackend>, round: u64, salvages: bool) -> Result<Self, Fault> {
         let mut bytes = vec![0; LOG_BYTES as usize];
-        file.file.read(file.start, &mut bytes).map_err(redb::StorageError::from)?;
-        let mut log = Self {
-            file,
-            round,
-            end: 0,
-            stored: Stored::default(),
-            known: EntityCache::new(),
-            is_damaged: false,
-        };
+        file.read(LOG_AT, &mut bytes).map_err(redb::StorageError::from)?;
+        let (stored, known) = (Stored::default(), EntityCache::new());
+        let mut log = Self { file, round, end: 0, stored, known, is_damaged: false };
         while let Some(length) = entry_at(&bytes, log.end, round) {
             read_entry(&bytes[log.end..log.end + length], &mut log.stored)?;
             log.end = (log.end + length).next_multiple_of(ALIGNMENT);
@@ -124,12 +98,11 @@ impl Log {
     pub(super) fn append(
         &mut self,
         snapshots: &[Arc<Snapshot>],
-        given: &[(Option<&EntityId>, u64)],
+        given: &[Given],
         memo: &EntityCache,
     ) -> Result<bool, Fault> {
         let Some((entry, known)) = self.entry(snapshots, given, memo) else { return Ok(false) };
-        let at = self.file.start + self.end as u64;
-        let written = self.file.file.write(at, &entry).and_then(|()| self.file.file.sync_data());
+        let written = self.file.write(LOG_AT + self.end as u64, &entry).and_then(|()| self.file.sync_data());
         written.map_err(redb::StorageError::from)?;
         self.end = (self.end + entry.len()).next_multiple_of(ALIGNMENT);
         self.known.extend(known);
@@ -141,7 +114,7 @@ impl Log {
     fn entry(
         &self,
         snapshots: &[Arc<Snapshot>],
-        given: &[(Option<&EntityId>, u64)],
+        given: &[Given],
         memo: &EntityCache,
     ) -> Option<(Vec<u8>, EntityCache)> {
         let mut entry = vec![0; 8];
@@ -165,7 +138,7 @@ impl Log {
             known.insert(snapshot.id.clone(), EntityFacts { newest: snapshot.version, ..facts });
         }
         for (id, version) in given {
-            put_key(&mut entry, *id);
+            put_key(&mut entry, id.as_ref());
             entry.extend_from_slice(&version.to_le_bytes());
         }
         let length = u32::try_from(entry.len()).ok()?;

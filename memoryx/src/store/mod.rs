@@ -53,7 +53,7 @@ use redb::{Database, ReadableTableMetadata, TableDefinition};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
-use crate::working::{Archive, Backing, WorkingMemory};
+use crate::working::WorkingMemory;
 
 mod backup;
 mod checked;
@@ -80,7 +80,7 @@ mod keep_tests;
 #[cfg(test)]
 mod query_tests;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use coding::Coding;
 pub use consolidate::{Consolidator, Policies, Policy};
@@ -89,7 +89,7 @@ pub use named::{EntityChange, NamedSnapshot};
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
-use log::{Log, LogFile, Stored};
+use log::{Log, Stored};
 use parking_lot::{Mutex, RwLock};
 use write::{EntityCache, Totals};
 
@@ -134,9 +134,8 @@ pub struct StoreStats {
     pub file_bytes: u64,
 }
 
-/// Opens the database, and its log where it has one; while the flag is set, damaged blocks are read nevertheless.
-type Opener =
-    Box<dyn Fn(&Arc<AtomicBool>) -> Result<(Database, Option<LogFile>), redb::DatabaseError> + Send + Sync>;
+/// Opens the database; while the flag is set, damaged blocks are read nevertheless.
+type Opener = Box<dyn Fn(&Arc<AtomicBool>) -> Result<checked::Opened, redb::DatabaseError> + Send + Sync>;
 
 /// The file while it is open.
 struct OpenFile {
@@ -145,21 +144,6 @@ struct OpenFile {
     log: Mutex<Option<Log>>,
     /// Whether something is in the log, for readers, who do not wait for the writer's lock.
     is_logged: AtomicBool,
-}
-
-impl OpenFile {
-    fn new(database: Database, log: Option<Log>) -> Self {
-        let is_logged = log.as_ref().is_some_and(|log| !log.stored.is_empty());
-        Self { database, log: Mutex::new(log), is_logged: AtomicBool::new(is_logged) }
-    }
-}
-
-impl std::ops::Deref for OpenFile {
-    type Target = Database;
-
-    fn deref(&self) -> &Database {
-        &self.database
-    }
 }
 
 /// The long-term memory of an agent.
@@ -217,15 +201,13 @@ impl LongTermMemory {
             }
             let beside = beside(path);
             drop(Self::open_file(name.clone(), beside.clone(), false)?);
-            match std::fs::hard_link(&beside, path) {
-                // Another process has made it meanwhile.
-                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
-                    std::fs::remove_file(&beside).map_err(failed)?;
-                }
+            let placed = match std::fs::hard_link(&beside, path) {
                 // A file system without hard links.
-                Err(_) => std::fs::rename(&beside, path).map_err(failed)?,
-                Ok(()) => std::fs::remove_file(&beside).map_err(failed)?,
-            }
+                Err(e) if e.kind() != std::io::ErrorKind::AlreadyExists => std::fs::rename(&beside, path),
+                // It is there, or another process has made one meanwhile.
+                _ => std::fs::remove_file(&beside),
+            };
+            placed.map_err(failed)?;
             std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
         }
         Self::open_file(name, path.into(), shared)
@@ -296,15 +278,14 @@ impl LongTermMemory {
             Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
         while goes_on() {
             let found = self.query(&query)?;
-            let Some(last) = found.last().map(|s| Cursor::after(s)) else { break };
             let is_cut = query.is_filled_by(&found);
+            query.after = found.last().map(|s| Cursor::after(s));
             let (count, error) = memory.restore(found);
             restored += count;
             refused = refused.or(error);
             if !is_cut {
                 break;
             }
-            query.after = Some(last);
         }
         memory.count_from(self.given_ahead()?);
         if let Some(error) = refused {
@@ -333,40 +314,6 @@ fn beside(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
     PathBuf::from(name)
-}
-
-impl Backing for LongTermMemory {
-    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        Ok(self.last_given(id)?)
-    }
-
-    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
-        Ok(self.holds_any_of(snapshots)?)
-    }
-
-    fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
-        self.persist(snapshots)?;
-        Ok(())
-    }
-
-    fn archive(&self) -> Option<&dyn Archive> {
-        Some(self)
-    }
-}
-
-impl Archive for LongTermMemory {
-    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        Ok(self.query(query)?)
-    }
-
-    fn versions(
-        &self,
-        query: &Query,
-        backwards: bool,
-        act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), MemoryError> {
-        Ok(self.versions_of(query, backwards, act)?)
-    }
 }
 
 impl Drop for LongTermMemory {

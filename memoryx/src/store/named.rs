@@ -7,6 +7,7 @@ use std::sync::Arc;
 use redb::ReadableTable;
 
 use super::error::Fault;
+use super::read::query_error;
 use super::{LongTermMemory, NAMED, StoreError};
 use crate::entity::{Commit, EntityId, Snapshot, check_name};
 use crate::error::MemoryError;
@@ -66,9 +67,7 @@ impl LongTermMemory {
     pub fn save_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, StoreError> {
         check_name(name).map_err(|_| StoreError::Name { name: short(name) })?;
         let _alone = self.upkeep.lock();
-        let held = memory
-            .query_now(&Query::latest(Pattern::any()))
-            .map_err(|e| StoreError::Query { what: e.to_string() })?;
+        let held = memory.query_now(&Query::latest(Pattern::any())).map_err(query_error)?;
         let mut list = memory.now_ns().to_le_bytes().to_vec();
         for part in held.chunks(PART) {
             self.write(|writer, memo| {
@@ -100,7 +99,10 @@ impl LongTermMemory {
         let before = self.list(name)?;
         let pinned: Vec<_> = entries(before.as_deref().unwrap_or_default()).collect();
         self.write(|writer, _| {
-            writer.name(name, list)?;
+            match list {
+                Some(list) => drop(writer.named.insert(name, list)?),
+                None => drop(writer.named.remove(name)?),
+            }
             Ok(((), list.is_some() || before.is_some()))
         })?;
         for part in pinned.chunks(PART) {
@@ -147,13 +149,12 @@ impl LongTermMemory {
         let held = memory.query_now(&Query::latest(Pattern::any()))?;
         let mut updates = Vec::new();
         for snapshot in &wanted {
-            let now = held.binary_search_by(|s| s.id.cmp(&snapshot.id)).ok().and_then(|i| held.get(i));
-            if now.is_none_or(|now| now.instances != snapshot.instances) {
+            if of(&held, &snapshot.id).is_none_or(|now| now.instances != snapshot.instances) {
                 let (id, instances) = (snapshot.id.clone(), snapshot.instances.clone());
                 updates.push(Commit::of(id, snapshot.referenced_ns, instances));
             }
         }
-        let gone = held.iter().filter(|s| wanted.binary_search_by(|w| w.id.cmp(&s.id)).is_err());
+        let gone = held.iter().filter(|s| of(&wanted, &s.id).is_none());
         updates.extend(gone.map(|s| Commit::removal(s.id.clone(), memory.now_ns())));
         updates.retain(|update| !memory.is_read_only(&update.id));
         let count = updates.len();
@@ -178,19 +179,13 @@ impl LongTermMemory {
             None => memory.query_now(&Query::latest(Pattern::any()))?,
         };
         let ids: BTreeSet<&EntityId> = before.iter().chain(&after).map(|snapshot| &snapshot.id).collect();
-        let of = |list: &[Arc<Snapshot>], id: &EntityId| {
-            list.binary_search_by(|snapshot| snapshot.id.cmp(id)).ok().and_then(|i| list.get(i).cloned())
-        };
-        let change = |id: &EntityId| {
-            let change = match (of(&before, id), of(&after, id)) {
-                (None, Some(_)) => EntityChange::Added(id.clone()),
-                (Some(_), None) => EntityChange::Removed(id.clone()),
-                (Some(a), Some(b)) if a.instances != b.instances => {
-                    EntityChange::Changed(id.clone(), differing(&a, &b))
-                }
-                _ => return None,
-            };
-            Some(change)
+        let change = |id: &EntityId| match (of(&before, id), of(&after, id)) {
+            (None, Some(_)) => Some(EntityChange::Added(id.clone())),
+            (Some(_), None) => Some(EntityChange::Removed(id.clone())),
+            (Some(a), Some(b)) if a.instances != b.instances => {
+                Some(EntityChange::Changed(id.clone(), differing(a, b)))
+            }
+            _ => None,
         };
         Ok(ids.into_iter().filter_map(change).collect())
     }
@@ -230,6 +225,11 @@ impl LongTermMemory {
             Ok(lists.collect::<Result<_, _>>()?)
         })
     }
+}
+
+/// The snapshot of an entity in a list that is ordered by address.
+fn of<'l>(list: &'l [Arc<Snapshot>], id: &EntityId) -> Option<&'l Arc<Snapshot>> {
+    list.binary_search_by(|snapshot| snapshot.id.cmp(id)).ok().and_then(|at| list.get(at))
 }
 
 fn no_such(name: &str) -> StoreError {

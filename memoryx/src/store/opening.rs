@@ -1,21 +1,20 @@
 //! Opening the file, sharing it among readers and writers, and the meaning of its errors. After an error, a usable
 //! database comes back only by opening the file again.
 
+use std::io::ErrorKind;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use redb::{Database, ReadableDatabase, ReadableTable};
+use parking_lot::Mutex;
+use redb::{Database, ReadableDatabase};
 
-use super::checked::Spoiled;
+use super::checked::{Opened, Spoiled};
 use super::error::Fault;
-use super::log::{Log, LogFile};
-use super::write::Totals;
-use super::{
-    AGES, BLOB_USES, BLOBS, CHUNKS, EARLIER_FORMAT, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory,
-    META, NAMED, OpenFile, REMOVED, SHARED_WAIT, StoreError, WAIT,
-};
+use super::log::Log;
+use super::write::{Totals, Writer};
+use super::{EARLIER_FORMAT, FORMAT, LongTermMemory, META, OpenFile, SHARED_WAIT, StoreError, WAIT};
 
 /// Between two tries to open a file that another process has open.
 const PAUSE: Duration = Duration::from_millis(5);
@@ -85,8 +84,10 @@ impl LongTermMemory {
             let (database, log) = self.opened().map_err(|e| self.opening(e))?;
             self.check_format(&database)?;
             let round = Totals::read(&database.begin_read()?.open_table(META)?)?.round;
-            let log = log.map(|log| Log::read(log, round, self.salvages.load(Ordering::Acquire)));
-            Ok(Arc::new(OpenFile::new(database, log.transpose()?)))
+            let log =
+                log.map(|log| Log::read(log, round, self.salvages.load(Ordering::Acquire))).transpose()?;
+            let is_logged = AtomicBool::new(log.as_ref().is_some_and(|log| !log.stored.is_empty()));
+            Ok(Arc::new(OpenFile { database, log: Mutex::new(log), is_logged }))
         })?;
         *open = Some(Arc::clone(&database));
         Ok(database)
@@ -97,7 +98,7 @@ impl LongTermMemory {
         clippy::disallowed_methods,
         reason = "another process holds the file: virtual time does not pass for it"
     )]
-    fn opened(&self) -> Result<(Database, Option<LogFile>), redb::DatabaseError> {
+    fn opened(&self) -> Result<Opened, redb::DatabaseError> {
         let mut left = if self.shared { SHARED_WAIT } else { WAIT };
         loop {
             match (self.opener)(&self.salvages) {
@@ -110,37 +111,27 @@ impl LongTermMemory {
         }
     }
 
+    /// Sets up a new file, and adds what a file of the earlier format lacks.
     fn check_format(&self, database: &Database) -> Result<(), Fault> {
         let path = self.name.clone();
         let read = database.begin_read()?;
         match read.open_table(META) {
-            Ok(meta) => {
-                return match meta.get("format")?.map_or(0, |v| v.value()) {
-                    FORMAT => Ok(()),
-                    EARLIER_FORMAT => bring_up_to_date(database),
-                    found => Err(StoreError::Format { path, found, supported: FORMAT }.into()),
-                };
+            Ok(meta) => match meta.get("format")?.map_or(0, |v| v.value()) {
+                FORMAT => return Ok(()),
+                EARLIER_FORMAT => {}
+                found => return Err(StoreError::Format { path, found, supported: FORMAT }.into()),
+            },
+            Err(redb::TableError::TableDoesNotExist(_)) => {
+                if read.list_tables()?.next().is_some() {
+                    let what = "it is a database of something else".into();
+                    return Err(StoreError::NotAStore { path, what }.into());
+                }
             }
-            Err(redb::TableError::TableDoesNotExist(_)) => {}
             Err(error) => return Err(error.into()),
-        }
-        if read.list_tables()?.next().is_some() {
-            let what = "it is a database of something else".into();
-            return Err(StoreError::NotAStore { path, what }.into());
         }
         drop(read);
         let write = database.begin_write()?;
-        write.open_table(META)?.insert("format", FORMAT)?;
-        write.open_table(ENTITIES)?;
-        write.open_table(INDEX)?;
-        write.open_table(CHUNKS)?;
-        write.open_table(BLOBS)?;
-        write.open_table(BLOB_USES)?;
-        write.open_table(AGES)?;
-        write.open_table(KEPT)?;
-        write.open_table(REMOVED)?;
-        write.open_table(GIVEN)?;
-        write.open_table(NAMED)?;
+        Writer::set_up(&write)?;
         Ok(write.commit()?)
     }
 
@@ -164,23 +155,18 @@ impl LongTermMemory {
 
     /// The user's error for a redb error at opening.
     fn opening(&self, error: redb::DatabaseError) -> StoreError {
-        let path = self.name.clone();
-        match error {
-            redb::DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path },
-            redb::DatabaseError::UpgradeRequired(format) => {
-                StoreError::NotAStore { path, what: format!("it is of redb's old file format {format}") }
+        let not_a_store = |what| StoreError::NotAStore { path: self.name.clone(), what };
+        match error.into() {
+            redb::Error::UpgradeRequired(format) => {
+                not_a_store(format!("it is of redb's old file format {format}"))
             }
-            redb::DatabaseError::Storage(redb::StorageError::Io(e))
-                if e.kind() == std::io::ErrorKind::InvalidData && !is_spoiled(&e) =>
-            {
-                StoreError::NotAStore { path, what: e.to_string() }
+            redb::Error::Io(e) if e.kind() == ErrorKind::InvalidData && !is_spoiled(&e) => {
+                not_a_store(e.to_string())
             }
-            redb::DatabaseError::Storage(redb::StorageError::Io(e))
-                if e.kind() == std::io::ErrorKind::UnexpectedEof =>
-            {
+            redb::Error::Io(e) if e.kind() == ErrorKind::UnexpectedEof => {
                 self.damaged("it is cut short".into())
             }
-            error => self.fault(error.into()),
+            error => self.fault(Fault::Redb(error)),
         }
     }
 
@@ -190,7 +176,7 @@ impl LongTermMemory {
         match fault {
             Fault::Other(error) => error,
             Fault::Damaged(what) | Fault::Redb(redb::Error::Corrupted(what)) => self.damaged(what),
-            Fault::Redb(redb::Error::Io(e)) if e.kind() == std::io::ErrorKind::StorageFull => {
+            Fault::Redb(redb::Error::Io(e)) if e.kind() == ErrorKind::StorageFull => {
                 StoreError::Full { path }
             }
             Fault::Redb(redb::Error::Io(e)) if is_spoiled(&e) => self.damaged(e.to_string()),
@@ -203,20 +189,4 @@ impl LongTermMemory {
 /// Whether a checksum has shown damage.
 fn is_spoiled(error: &std::io::Error) -> bool {
     error.get_ref().is_some_and(|inner| inner.is::<Spoiled>())
-}
-
-/// Adds what a file of the earlier format lacks.
-fn bring_up_to_date(database: &Database) -> Result<(), Fault> {
-    let write = database.begin_write()?;
-    {
-        let (chunks, mut ages) = (write.open_table(CHUNKS)?, write.open_table(AGES)?);
-        for row in chunks.iter()? {
-            ages.insert((0, row?.0.value()), ())?;
-        }
-        write.open_table(KEPT)?;
-        write.open_table(REMOVED)?;
-        write.open_table(GIVEN)?;
-        write.open_table(META)?.insert("format", FORMAT)?;
-    }
-    Ok(write.commit()?)
 }

@@ -12,7 +12,7 @@ use crate::entity::Commit;
 use crate::memory::pages;
 use crate::place::SpatialRegion;
 use crate::query::{Cursor, Times};
-use crate::working::MemoryLimits;
+use crate::working::{Archive, Backing, MemoryLimits};
 
 /// A history with times out of order and removals, by entity.
 fn histories() -> impl Strategy<Value = Vec<(u8, u64, bool)>> {

@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering;
 use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::error::Fault;
-use super::record::{self, Hash, RecordError};
+use super::record::{self, Hash, RecordError, Records};
 use super::write::OF_OTHERS;
 use super::{
     AGES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, OpenFile, RecordPlace, StoreError,
@@ -18,6 +18,7 @@ use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
+use crate::working::{Archive, Backing};
 
 /// An empty range of versions.
 const NONE: (u64, u64) = (1, 0);
@@ -67,34 +68,34 @@ impl Reader {
         Ok(held.map(|(number, ordered)| Entity { id: id.clone(), number, ordered }))
     }
 
-    /// Passes the matching entities to `act`, in order of address, until it returns that this is enough.
+    /// The matching entities, in order of address.
     pub(super) fn entities(
         &self,
         pattern: &Pattern,
         from: Option<&EntityId>,
-        mut act: impl FnMut(Entity) -> Result<bool, Fault>,
-    ) -> Result<(), Fault> {
-        if let Some(id) = pattern.exact() {
-            return self.entity(&id)?.map_or(Ok(()), |entity| act(entity).map(|_| ()));
-        }
-        let (first, to) = record::entity_range(pattern);
-        let first = from.map_or(first.clone(), |id| first.max(record::entity_key(id)));
-        let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
-        let rows = self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to))?;
-        for row in rows {
-            let (key, value) = row?;
-            let id = record::entity_of(key.value())?;
-            let (number, ordered) = value.value();
-            if pattern.matches(&id) && !act(Entity { id, number, ordered })? {
-                break;
+    ) -> Result<impl Iterator<Item = Result<Entity, Fault>>, Fault> {
+        let (one, rows) = match pattern.exact() {
+            Some(id) => (self.entity(&id)?, None),
+            None => {
+                let (first, to) = record::entity_range(pattern);
+                let first = from.map_or(first.clone(), |id| first.max(record::entity_key(id)));
+                let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
+                (None, Some(self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to))?))
             }
-        }
-        Ok(())
+        };
+        let entities = rows.into_iter().flatten().map(|row| {
+            let (key, value) = row?;
+            let (id, (number, ordered)) = (record::entity_of(key.value())?, value.value());
+            Ok(Entity { id, number, ordered })
+        });
+        let is_asked_for =
+            |entity: &Result<Entity, Fault>| entity.as_ref().map_or(true, |e| pattern.matches(&e.id));
+        Ok(one.map(Ok).into_iter().chain(entities.filter(is_asked_for)))
     }
 
     /// The newest version of an entity, and its row.
     pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, RecordPlace)>, Fault> {
-        self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
+        version_of(self.index.range((number, 0)..=(number, u64::MAX))?.next_back())
     }
 
     /// When the newest record of the oldest chunk arrived that retention has not come to, ns.
@@ -109,24 +110,12 @@ impl Reader {
         offset: usize,
         head: record::RecordHeader,
     ) -> Result<bool, Fault> {
-        if self.kept.get(chunk)?.is_none() {
-            return Ok(false);
-        }
-        let row = self.index.get((head.number, head.version))?.map(|row| row.value());
-        Ok(row.is_none_or(|row| (row.0, row.1 as usize) != (chunk, offset)))
+        Ok(self.kept.get(chunk)?.is_some() && row_at(&self.index, head, chunk, offset)?.is_none())
     }
 
     /// The last version that an entity was noted to have been given.
     fn given(&self, number: u64) -> Result<u64, Fault> {
         Ok(self.given.get(number)?.map_or(0, |row| row.value()))
-    }
-
-    fn one(
-        &self,
-        found: Result<Option<Found>, redb::StorageError>,
-    ) -> Result<Option<(u64, RecordPlace)>, Fault> {
-        let row = found.and_then(Option::transpose)?;
-        Ok(row.map(|(key, row)| (key.value().1, row.value())))
     }
 
     /// The snapshot at a row.
@@ -167,14 +156,14 @@ impl Reader {
             let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;
             Ok(asked.select(found.into_iter()))
         };
-        match asked.query().times {
-            _ if asked.query().limit == Some(0) => {}
+        match asked.query.times {
+            _ if asked.query.limit == Some(0) => {}
             Times::Latest => answer.extend(one(self.newest(entity.number)?)?),
             Times::At(time) => answer.extend(one(self.held(entity, |referenced| referenced <= time)?)?),
             Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
             _ => {
                 let (mut from, to) = self.bounds(asked, entity)?;
-                if let Some(mut left) = asked.query().limit {
+                if let Some(mut left) = asked.query.limit {
                     self.choose(asked, entity, (from, to), true, |version, _| {
                         left -= 1;
                         from = version;
@@ -195,7 +184,7 @@ impl Reader {
 
     /// The first and the last version of an entity that a query can select.
     fn bounds(&self, asked: &CheckedQuery<'_>, entity: &Entity) -> Result<(u64, u64), Fault> {
-        let query = asked.query();
+        let query = asked.query;
         let after = query.after.as_ref().filter(|after| after.id == entity.id);
         let (from, to) = match query.times {
             Times::Versions(from, to) => (from, to),
@@ -204,7 +193,7 @@ impl Reader {
             }
             // A continued answer is already past the versions that arrived earlier.
             _ if after.is_some() => (0, u64::MAX),
-            _ => (query.arrived_since.map_or(Ok(0), |since| self.arrived(entity.number, since))?, u64::MAX),
+            _ => (query.arrived_since.map_or(Ok(0), |since| self.arrived(entity, since))?, u64::MAX),
         };
         Ok((after.map_or(from, |after| from.max(after.version.saturating_add(1))), to))
     }
@@ -214,7 +203,7 @@ impl Reader {
         let mut rows = self.rows(entity, (0, u64::MAX))?;
         let index = |place: i64| usize::try_from(place).unwrap_or(usize::MAX);
         let found = if place < 0 { rows.nth_back(index(-1 - place)) } else { rows.nth(index(place)) };
-        Ok(self.one(Ok(found))?.map(|(version, _)| version))
+        Ok(version_of(found)?.map(|(version, _)| version))
     }
 
     fn rows(&self, entity: &Entity, (from, to): (u64, u64)) -> Result<Rows, Fault> {
@@ -236,13 +225,11 @@ impl Reader {
             return Ok(());
         }
         let mut rows = self.rows(entity, (from, to))?;
-        let counts = |row: &RecordPlace| match asked.query().times {
+        let counts = |row: &RecordPlace| match asked.query.times {
             Times::Between(from, to) => (from..=to).contains(&row.3),
             _ => true,
         };
-        while let Some((version, row)) =
-            self.one(Ok(if backwards { rows.next_back() } else { rows.next() }))?
-        {
+        while let Some((version, row)) = version_of(if backwards { rows.next_back() } else { rows.next() })? {
             let is_asked_for =
                 counts(&row) && (asked.is_plain() || asked.fits(&*self.snapshot(&entity.id, row)?));
             if is_asked_for && !act(version, row)? {
@@ -252,21 +239,10 @@ impl Reader {
         Ok(())
     }
 
-    /// The first version that arrived at a time or later, by bisection: versions arrive in order.
-    fn arrived(&self, number: u64, since: u64) -> Result<u64, Fault> {
-        let (mut low, mut high) = (0, self.newest(number)?.map_or(0, |(version, _)| version + 1));
-        while low < high {
-            let middle = low + (high - low) / 2;
-            let row = self.index.range((number, middle)..=(number, u64::MAX))?.next();
-            let Some((key, row)) = row.transpose()? else { break };
-            let times = self.with_record(row.value(), record::times)?;
-            if times?.1 < since {
-                low = key.value().1 + 1;
-            } else {
-                high = middle;
-            }
-        }
-        Ok(low)
+    /// The first version that can have arrived at a time or later: versions arrive in order.
+    fn arrived(&self, entity: &Entity, since: u64) -> Result<u64, Fault> {
+        let is_before = |row: RecordPlace| Ok(self.with_record(row, record::times)??.1 < since);
+        Ok(self.last_of_first(entity, is_before)?.map_or(0, |(version, _)| version + 1))
     }
 
     /// The row with the latest referenced time among those for which `counts` is true. `counts` is true up to some
@@ -279,29 +255,33 @@ impl Reader {
         if !entity.ordered {
             let mut rows = self.rows(entity, (0, u64::MAX))?;
             let mut held: Option<(u64, RecordPlace)> = None;
-            while let Some((version, row)) = self.one(Ok(rows.next()))? {
+            while let Some((version, row)) = version_of(rows.next())? {
                 if counts(row.3) && held.is_none_or(|(_, best)| best.3 <= row.3) {
                     held = Some((version, row));
                 }
             }
             return Ok(held);
         }
+        self.last_of_first(entity, |row| Ok(counts(row.3)))
+    }
+
+    /// The last row for which `is_first` is true, by bisection. It is true up to some version, and false after it.
+    fn last_of_first(
+        &self,
+        entity: &Entity,
+        is_first: impl Fn(RecordPlace) -> Result<bool, Fault>,
+    ) -> Result<Option<(u64, RecordPlace)>, Fault> {
         let Some((newest, _)) = self.newest(entity.number)? else { return Ok(None) };
-        let before = |version: u64| {
-            self.one(
-                self.index.range((entity.number, 0)..=(entity.number, version)).map(|mut r| r.next_back()),
-            )
-        };
-        // Bisection over versions: some may be missing, so each step uses the last existing one.
         let (mut low, mut high, mut best) = (0, newest, None);
         while low <= high {
             let middle = low + (high - low) / 2;
-            match before(middle)? {
-                Some(found) if counts(found.1.3) => {
+            // Some versions may be missing, so each step uses the last existing one.
+            match version_of(self.rows(entity, (0, middle))?.next_back())? {
+                Some(found) if is_first(found.1)? => {
                     best = Some(found);
                     low = middle + 1;
                 }
-                Some((version, _)) if version > 0 && version > low => high = version - 1,
+                Some((version, _)) if version > low => high = version - 1,
                 Some(_) => break,
                 None => low = middle + 1,
             }
@@ -310,7 +290,23 @@ impl Reader {
     }
 }
 
-fn query_error(error: MemoryError) -> StoreError {
+/// The version and the place of a row of the index.
+fn version_of(found: Option<Found>) -> Result<Option<(u64, RecordPlace)>, Fault> {
+    Ok(found.transpose()?.map(|(key, row)| (key.value().1, row.value())))
+}
+
+/// The row of a record, if the index has it at this place of a chunk.
+pub(super) fn row_at(
+    index: &impl ReadableTable<(u64, u64), RecordPlace>,
+    head: record::RecordHeader,
+    chunk: u64,
+    at: usize,
+) -> Result<Option<RecordPlace>, Fault> {
+    let row = index.get((head.number, head.version))?.map(|row| row.value());
+    Ok(row.filter(|row| (row.0, row.1 as usize) == (chunk, at)))
+}
+
+pub(super) fn query_error(error: MemoryError) -> StoreError {
     match error {
         MemoryError::Query { what } => StoreError::Query { what },
         error => StoreError::Query { what: error.to_string() },
@@ -330,7 +326,8 @@ impl LongTermMemory {
         let asked = query.check().map_err(query_error)?;
         self.read(|reader| {
             let mut answer = asked.answer(&|| true);
-            reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
+            for entity in reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id))? {
+                let entity = entity?;
                 if asked.wants(&entity.id) {
                     if asked.clock.is_some() {
                         let newest = reader.newest(entity.number)?;
@@ -338,8 +335,10 @@ impl LongTermMemory {
                     }
                     reader.select(&asked, &entity, &mut answer)?;
                 }
-                Ok(!answer.is_full())
-            })?;
+                if answer.is_full() {
+                    break;
+                }
+            }
             Ok(answer.finish().map_err(query_error)?.snapshots)
         })
     }
@@ -351,29 +350,13 @@ impl LongTermMemory {
     pub fn segments(&self) -> Result<Vec<String>, StoreError> {
         self.read(|reader| {
             let mut segments: Vec<String> = Vec::new();
-            reader.entities(&Pattern::any(), None, |entity| {
-                if segments.last().is_none_or(|last| last != entity.id.segment()) {
-                    segments.push(entity.id.segment().into());
+            for entity in reader.entities(&Pattern::any(), None)? {
+                let id = entity?.id;
+                if segments.last().is_none_or(|last| last != id.segment()) {
+                    segments.push(id.segment().into());
                 }
-                Ok(true)
-            })?;
+            }
             Ok(segments)
-        })
-    }
-
-    /// See [`crate::Archive::versions`].
-    pub(super) fn versions_of(
-        &self,
-        query: &Query,
-        backwards: bool,
-        act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), StoreError> {
-        let asked = query.check().map_err(query_error)?;
-        let Some(id) = query.pattern.exact() else { return Ok(()) };
-        self.read(|reader| {
-            let Some(entity) = reader.entity(&id)? else { return Ok(()) };
-            let bounds = reader.bounds(&asked, &entity)?;
-            reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
         })
     }
 
@@ -446,22 +429,6 @@ impl LongTermMemory {
         })
     }
 
-    /// Whether one of these snapshots is stored.
-    pub(super) fn holds_any_of(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, StoreError> {
-        self.read(|reader| {
-            for snapshot in snapshots {
-                let Some(entity) = reader.entity(&snapshot.id)? else { continue };
-                let row = reader.index.get((entity.number, snapshot.version))?;
-                if let Some(row) = row
-                    && reader.snapshot(&snapshot.id, row.value())?.arrived_ns == snapshot.arrived_ns
-                {
-                    return Ok(true);
-                }
-            }
-            Ok(false)
-        })
-    }
-
     pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
         self.read_tables(|transaction| act(&Reader::new(transaction)?))
     }
@@ -475,7 +442,60 @@ impl LongTermMemory {
         if !self.salvages.load(Ordering::Acquire) && self.with(is_logged)? {
             self.take_log(&mut self.memo.lock())?;
         }
-        self.with(|file| act(&file.begin_read()?))
+        self.with(|file| act(&file.database.begin_read()?))
+    }
+}
+
+impl Backing for LongTermMemory {
+    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
+        Ok(self.last_given(id)?)
+    }
+
+    fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+        self.persist(snapshots)?;
+        Ok(())
+    }
+
+    fn holds_any(&self, snapshots: &[Arc<Snapshot>]) -> Result<bool, MemoryError> {
+        let holds = self.read(|reader| {
+            for snapshot in snapshots {
+                let Some(entity) = reader.entity(&snapshot.id)? else { continue };
+                let row = reader.index.get((entity.number, snapshot.version))?;
+                if let Some(row) = row
+                    && reader.snapshot(&snapshot.id, row.value())?.arrived_ns == snapshot.arrived_ns
+                {
+                    return Ok(true);
+                }
+            }
+            Ok(false)
+        });
+        Ok(holds?)
+    }
+
+    fn archive(&self) -> Option<&dyn Archive> {
+        Some(self)
+    }
+}
+
+impl Archive for LongTermMemory {
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        Ok(self.query(query)?)
+    }
+
+    fn versions(
+        &self,
+        query: &Query,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), MemoryError> {
+        let asked = query.check()?;
+        let Some(id) = query.pattern.exact() else { return Ok(()) };
+        let chosen = self.read(|reader| {
+            let Some(entity) = reader.entity(&id)? else { return Ok(()) };
+            let bounds = reader.bounds(&asked, &entity)?;
+            reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
+        });
+        Ok(chosen?)
     }
 }
 
@@ -492,25 +512,20 @@ impl Reader {
             if number.value() != from.0 {
                 *from = (number.value(), 0);
             }
-            while let Some(rest) = chunk.value().get(from.1..).filter(|rest| !rest.is_empty()) {
-                let (snapshot, length) = match record::head(rest) {
-                    Ok(head) if self.is_forgotten(from.0, from.1, head)? => {
-                        from.1 += head.length;
-                        continue;
+            let mut records = Records { chunk: chunk.value(), at: from.1 };
+            while let Some((at, record)) = records.next() {
+                let snapshot = match record {
+                    Ok((head, _)) if self.is_forgotten(from.0, at, head)? => continue,
+                    Ok((head, record)) => {
+                        let id = ids.get(&head.number).ok_or(RecordError::NoAddress { number: head.number });
+                        id.and_then(|id| record::decode(id, head, record, &|hash| self.blob(hash)))
                     }
-                    Ok(head) => {
-                        let id = ids.get(&head.number);
-                        let id = id.ok_or(RecordError::NoAddress { number: head.number });
-                        let blobs = |hash: &_| self.blob(hash);
-                        (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
-                    }
-                    // If the record's length is damaged too, the following records of its chunk cannot be found.
-                    Err(what) => (Err(what), record::length(rest).unwrap_or(rest.len())),
+                    Err(what) => Err(what),
                 };
                 if let Err(RecordError::Storage(error)) = snapshot {
                     return Err(error.into());
                 }
-                from.1 += length;
+                from.1 = records.at;
                 if !act(snapshot) {
                     return Ok(());
                 }
@@ -521,11 +536,6 @@ impl Reader {
 
     /// The addresses of all entities by number.
     pub(super) fn addresses(&self) -> Result<BTreeMap<u64, EntityId>, Fault> {
-        let mut ids = BTreeMap::new();
-        self.entities(&Pattern::any(), None, |entity| {
-            ids.insert(entity.number, entity.id);
-            Ok(true)
-        })?;
-        Ok(ids)
+        self.entities(&Pattern::any(), None)?.map(|entity| entity.map(|e| (e.number, e.id))).collect()
     }
 }

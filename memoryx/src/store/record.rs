@@ -23,20 +23,12 @@ pub(super) enum RecordError {
     Key { key: String },
     #[error("it ends too early")]
     Short,
-    #[error("a record is longer than its place")]
-    Long,
-    #[error("a chunk has an empty record")]
-    Empty,
+    #[error("{0}")]
+    Malformed(&'static str),
     #[error("version {version} of entity number {number} does not have its checksum")]
     Checksum { version: u64, number: u64 },
     #[error("entity number {number} has no address")]
     NoAddress { number: u64 },
-    #[error("a count does not end")]
-    Count,
-    #[error("a text is not UTF-8")]
-    Text,
-    #[error("it is nested too deep")]
-    Depth,
     #[error("a value is of the unknown kind {kind}")]
     Kind { kind: u8 },
     #[error("a commit in the log, at byte {at} of it, is not whole, and those after it are not read")]
@@ -218,17 +210,41 @@ pub(super) fn head(bytes: &[u8]) -> Result<RecordHeader, RecordError> {
     let mut cursor = ByteReader { rest: bytes };
     let (length, sum) = (cursor.u32()? as usize, cursor.u32()?);
     let (number, version) = (cursor.u64()?, cursor.u64()?);
-    let content = bytes.get(8..length).ok_or(RecordError::Long)?;
+    let content = bytes.get(8..length).ok_or(RecordError::Malformed("a record is longer than its place"))?;
     if crc32fast::hash(content) != sum {
         return Err(RecordError::Checksum { version, number });
     }
-    if length < HEAD { Err(RecordError::Empty) } else { Ok(RecordHeader { length, number, version }) }
+    if length < HEAD {
+        Err(RecordError::Malformed("a chunk has an empty record"))
+    } else {
+        Ok(RecordHeader { length, number, version })
+    }
 }
 
 /// The length that a record states, if another record can follow at that place.
-pub(super) fn length(bytes: &[u8]) -> Option<usize> {
+fn length(bytes: &[u8]) -> Option<usize> {
     let length = ByteReader { rest: bytes }.u32().ok()? as usize;
     (HEAD..=bytes.len()).contains(&length).then_some(length)
+}
+
+/// The records of a chunk from a place on, one after the other: where each begins, its header, and its bytes. If the length of
+/// a damaged record is damaged too, those after it cannot be found.
+pub(super) struct Records<'c> {
+    pub(super) chunk: &'c [u8],
+    /// Where the next one begins.
+    pub(super) at: usize,
+}
+
+impl<'c> Iterator for Records<'c> {
+    type Item = (usize, Result<(RecordHeader, &'c [u8]), RecordError>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let rest = self.chunk.get(self.at..).filter(|rest| !rest.is_empty())?;
+        let (at, head) = (self.at, head(rest));
+        let length = head.as_ref().map_or(length(rest).unwrap_or(rest.len()), |head| head.length);
+        self.at += length;
+        Some((at, head.map(|head| (head, &rest[..length]))))
+    }
 }
 
 /// Looks up blobs.
@@ -324,12 +340,12 @@ impl<'b> ByteReader<'b> {
                 return if count <= self.rest.len() { Ok(count) } else { Err(RecordError::Short) };
             }
         }
-        Err(RecordError::Count)
+        Err(RecordError::Malformed("a count does not end"))
     }
 
     fn text(&mut self) -> Result<&'b str, RecordError> {
         let count = self.count()?;
-        std::str::from_utf8(self.take(count)?).map_err(|_| RecordError::Text)
+        std::str::from_utf8(self.take(count)?).map_err(|_| RecordError::Malformed("a text is not UTF-8"))
     }
 
     fn frame(&mut self) -> Result<Frame, RecordError> {
@@ -360,7 +376,7 @@ impl<'b> ByteReader<'b> {
     }
 
     fn value(&mut self, blobs: Blobs<'_>, left: usize) -> Result<Value, RecordError> {
-        let left = left.checked_sub(1).ok_or(RecordError::Depth)?;
+        let left = left.checked_sub(1).ok_or(RecordError::Malformed("it is nested too deep"))?;
         let [tag] = self.array()?;
         Ok(match tag {
             0 => Value::Null,

@@ -13,6 +13,8 @@ use std::collections::BTreeSet;
 use redb::ReadableTable;
 
 use super::error::Fault;
+use super::read::row_at;
+use super::record::Records;
 use super::write::Writer;
 use super::{LongTermMemory, RecordPlace, StoreError, record};
 
@@ -150,11 +152,12 @@ impl Writer<'_> {
             if done >= most {
                 return Ok(done);
             }
-            if !self.is_at(head, place)? {
+            let is_there = |writer: &Self| row_at(&writer.index, head, chunk, place.1 as usize);
+            if is_there(self)?.is_none() {
                 continue;
             }
             done += self.forget_old(head, before, most - done, pinned)?;
-            if done < most && self.is_at(head, place)? {
+            if done < most && is_there(self)?.is_some() {
                 self.forget_entity_or_move(head, &record, pinned)?;
                 self.leave(place)?;
                 done += 1;
@@ -165,12 +168,6 @@ impl Writer<'_> {
             self.remove_chunk(chunk)?;
         }
         Ok(done)
-    }
-
-    /// Whether the index has this record at this place.
-    fn is_at(&self, head: record::RecordHeader, place: RecordPlace) -> Result<bool, Fault> {
-        let row = self.index.get((head.number, head.version))?;
-        Ok(row.is_some_and(|row| (row.value().0, row.value().1) == (place.0, place.1)))
     }
 
     /// Forgets the versions of an entity that go with this one, at most so many: those before it that were kept as the newest, and
@@ -248,15 +245,13 @@ impl Writer<'_> {
     fn records_of(&self, chunk: u64) -> Result<Vec<(record::RecordHeader, RecordPlace, Vec<u8>)>, Fault> {
         let bytes = self.chunks.get(chunk)?;
         let bytes = bytes.as_ref().map_or(&[][..], |bytes| bytes.value());
-        let (mut offset, mut records) = (0, Vec::new());
-        each_record(bytes, |head, record| {
-            let row = self.index.get((head.number, head.version))?.map(|row| row.value());
-            if let Some(row) = row.filter(|row| (row.0, row.1 as usize) == (chunk, offset)) {
+        let mut records = Vec::new();
+        for (at, record) in (Records { chunk: bytes, at: 0 }) {
+            let (head, record) = record?;
+            if let Some(row) = row_at(&self.index, head, chunk, at)? {
                 records.push((head, row, record.to_vec()));
             }
-            offset += record.len();
-            Ok(())
-        })?;
+        }
         Ok(records)
     }
 
@@ -276,28 +271,11 @@ impl Writer<'_> {
     /// When the newest record of a chunk arrived, ns.
     fn newest_arrival_in(&self, chunk: u64) -> Result<u64, Fault> {
         let bytes = self.chunks.get(chunk)?;
+        let bytes = bytes.as_ref().map_or(&[][..], |bytes| bytes.value());
         let mut newest = 0;
-        if let Some(bytes) = &bytes {
-            each_record(bytes.value(), |_, record| {
-                newest = newest.max(record::times(record)?.1);
-                Ok(())
-            })?;
+        for (_, record) in (Records { chunk: bytes, at: 0 }) {
+            newest = newest.max(record::times(record?.1)?.1);
         }
         Ok(newest)
     }
-}
-
-/// Passes the records of a chunk to `act`, one after the other.
-pub(super) fn each_record(
-    bytes: &[u8],
-    mut act: impl FnMut(record::RecordHeader, &[u8]) -> Result<(), Fault>,
-) -> Result<(), Fault> {
-    let mut rest = bytes;
-    while !rest.is_empty() {
-        let head = record::head(rest)?;
-        let (record, after) = rest.split_at(head.length);
-        act(head, record)?;
-        rest = after;
-    }
-    Ok(())
 }

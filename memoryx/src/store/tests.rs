@@ -9,20 +9,15 @@ use armarium_values::Value;
 use super::*;
 use crate::entity::{Commit, Instance};
 use crate::query::Times;
+use crate::working::Backing;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
-    let attributes = BTreeMap::from([("value".to_owned(), Value::Int(value))]);
-    Arc::new(Snapshot {
-        id: path.parse().unwrap(),
-        version,
-        referenced_ns: time,
-        sent_ns: time + 1,
-        arrived_ns: time + 2,
-        instances: vec![Instance::new(attributes)],
-    })
+    let (id, instances) = (path.parse().unwrap(), vec![Instance::new([("value", Value::Int(value))])]);
+    let (referenced_ns, sent_ns, arrived_ns) = (time, time + 1, time + 2);
+    Arc::new(Snapshot { id, version, referenced_ns, sent_ns, arrived_ns, instances })
 }
 
-fn removed(path: &str, version: u64, time: u64) -> Arc<Snapshot> {
+pub(super) fn removed(path: &str, version: u64, time: u64) -> Arc<Snapshot> {
     Arc::new(Snapshot { instances: Vec::new(), ..(*snapshot(path, version, time, 0)).clone() })
 }
 
@@ -31,6 +26,16 @@ pub(super) fn store() -> (tempfile::TempDir, PathBuf, Arc<LongTermMemory>) {
     let path = folder.path().join("memory.redb");
     let store = Arc::new(LongTermMemory::open(&path).unwrap());
     (folder, path, store)
+}
+
+/// The history of everything in a store.
+pub(super) fn all(store: &LongTermMemory) -> Vec<Arc<Snapshot>> {
+    store.query(&Query::history(Pattern::any())).unwrap()
+}
+
+/// What stores by one policy in a store.
+pub(crate) fn keeping(store: &Arc<LongTermMemory>, policy: Policy) -> Arc<Consolidator> {
+    Arc::new(Consolidator::new(Arc::clone(store), Policies::all(policy)).unwrap())
 }
 
 pub(super) fn versions(found: &[Arc<Snapshot>]) -> Vec<(String, u64)> {
@@ -75,13 +80,8 @@ fn a_second_opening_is_refused() {
 fn a_second_run_goes_on_where_the_first_ended() {
     let (_folder, _, store) = store();
     let id: EntityId = "Motions/learned/wipe".parse().unwrap();
-    let commit = |value: f64| {
-        Commit::new(id.clone(), 5, BTreeMap::from([("frequency".to_owned(), Value::Float(value))]))
-    };
-    let run = || {
-        let backing = Consolidator::new(Arc::clone(&store), Policies::default()).unwrap();
-        WorkingMemory::new(Arc::new(|| 5)).with_backing(Arc::new(backing))
-    };
+    let commit = |value: f64| Commit::new(id.clone(), 5, [("frequency", Value::Float(value))]);
+    let run = || WorkingMemory::new(Arc::new(|| 5)).with_backing(keeping(&store, Policy::Everything));
     let first = run();
     first.commit_now(vec![commit(0.5), commit(0.6)]).unwrap();
     drop(first);
@@ -115,10 +115,9 @@ fn policies_choose() {
         (named("f"), vec![], vec![]),
     ] {
         let (_folder, _, store) = store();
-        let consolidator = Consolidator::new(Arc::clone(&store), Policies::all(policy.clone())).unwrap();
+        let consolidator = keeping(&store, policy.clone());
         let kept = |expected: &[u64]| {
-            let found = store.query(&Query::history(Pattern::any())).unwrap();
-            assert_eq!(found.iter().map(|s| s.version).collect::<Vec<_>>(), expected, "{policy:?}");
+            assert_eq!(all(&store).iter().map(|s| s.version).collect::<Vec<_>>(), expected, "{policy:?}");
         };
         for part in five.chunks(2) {
             consolidator.consolidate(part).unwrap();
@@ -133,7 +132,7 @@ fn policies_choose() {
 #[test]
 fn a_change_is_one_after_opening_again_too() {
     let (_folder, _, store) = store();
-    let on_change = || Consolidator::new(Arc::clone(&store), Policies::all(Policy::OnChange)).unwrap();
+    let on_change = || keeping(&store, Policy::OnChange);
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 1, 0, 7)]), Ok(1));
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 2, 0, 7)]), Ok(0));
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 3, 0, 8)]), Ok(1));
@@ -149,7 +148,7 @@ fn compaction_keeps_everything() {
     let before = std::fs::metadata(&path).unwrap().len();
     assert_eq!(store.compact(), Ok(true));
     assert!(std::fs::metadata(&path).unwrap().len() < before);
-    assert_eq!(store.query(&Query::history(Pattern::any())).unwrap(), many);
+    assert_eq!(all(&store), many);
     assert_eq!(store.verify().unwrap().intact, 1999);
 }
 
@@ -164,7 +163,7 @@ fn a_time_from_the_future_hides_nothing_that_comes_later() {
     };
     let come = come.map(one);
     let (_folder, path, store) = store();
-    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::AtMost { hz: 1.0 })).unwrap();
+    let kept = keeping(&store, Policy::AtMost { hz: 1.0 });
     for one in &come {
         kept.consolidate(std::slice::from_ref(one)).unwrap();
     }

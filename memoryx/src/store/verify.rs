@@ -6,8 +6,8 @@ use redb::{Key, ReadableTable, ReadableTableMetadata, Value};
 use sha2::{Digest, Sha256};
 
 use super::error::Fault;
-use super::read::Reader;
-use super::record::{self, Hash, RecordError};
+use super::read::{Reader, row_at};
+use super::record::{self, Hash, RecordError, Records};
 use super::{AGES, BLOB_USES, BLOBS, GIVEN, KEPT, LongTermMemory, META, NAMED, REMOVED, StoreError, Totals};
 
 /// Damages that a verification lists individually.
@@ -103,27 +103,21 @@ fn verify_records(
     for row in reader.chunks.iter()? {
         let (number, chunk) = row?;
         let (number, bytes) = (number.value(), chunk.value());
-        let mut at = 0;
-        while at < bytes.len() {
-            let head = match record::head(&bytes[at..]) {
-                Ok(head) => head,
+        for (at, record) in (Records { chunk: bytes, at: 0 }) {
+            let (head, record) = match record {
+                Ok(record) => record,
                 Err(what) => {
                     found.damage(what.to_string());
                     break;
                 }
             };
             if reader.is_forgotten(number, at, head)? {
-                at += head.length;
                 continue;
             }
-            let record = &bytes[at..at + head.length];
             let blobs: Vec<Hash> = record::blobs_of(record, head).unwrap_or_default();
             blobs.into_iter().for_each(|hash| *uses.entry(hash.to_vec()).or_default() += 1);
-            let place = reader.index.get((head.number, head.version))?;
-            let is_indexed = place.is_some_and(|row| {
-                let row = row.value();
-                (row.0, row.1 as usize, row.2 as usize) == (number, at, head.length)
-            });
+            let row = row_at(&reader.index, head, number, at)?;
+            let is_indexed = row.is_some_and(|row| row.2 as usize == head.length);
             let id = ids.get(&head.number).ok_or(RecordError::NoAddress { number: head.number });
             match id.and_then(|id| record::decode(id, head, record, &|_| Ok(Vec::new()))) {
                 Ok(_) if is_indexed => found.intact += 1,
@@ -131,7 +125,6 @@ fn verify_records(
                 Err(what) => found.damage(what.to_string()),
             }
             records += 1;
-            at += head.length;
         }
     }
     let indexed = reader.index.len()?;

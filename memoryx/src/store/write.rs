@@ -8,10 +8,11 @@ use parking_lot::MutexGuard;
 use redb::{ReadableTable, Table, WriteTransaction};
 
 use super::error::Fault;
+use super::log::Given;
 use super::record::{self, Hash};
 use super::{
-    AGES, BLOB_USES, BLOBS, CHUNKS, ENTITIES, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED, REMOVED,
-    RecordPlace, StoreError,
+    AGES, BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, GIVEN, INDEX, KEPT, LongTermMemory, META, NAMED,
+    REMOVED, RecordPlace, StoreError,
 };
 use crate::entity::{EntityId, Snapshot};
 
@@ -84,7 +85,7 @@ pub(super) struct Writer<'t> {
     pub(super) kept: Table<'t, u64, u64>,
     removed: Table<'t, u64, &'static [u8]>,
     given: Table<'t, u64, u64>,
-    named: Table<'t, &'static str, &'static [u8]>,
+    pub(super) named: Table<'t, &'static str, &'static [u8]>,
     pub(super) totals: Totals,
     /// The chunk that is being filled; its number is `totals.next_chunk`.
     open: Vec<u8>,
@@ -123,6 +124,16 @@ impl<'t> Writer<'t> {
         })
     }
 
+    /// Makes the tables that are not there yet. Retention comes to all chunks that are there.
+    pub(super) fn set_up(transaction: &'t WriteTransaction) -> Result<(), Fault> {
+        let mut writer = Self::new(transaction)?;
+        writer.meta.insert("format", FORMAT)?;
+        for row in writer.chunks.iter()? {
+            writer.ages.insert((0, row?.0.value()), ())?;
+        }
+        Ok(())
+    }
+
     /// The facts about an entity; a new entity gets a number.
     fn know(&mut self, id: &EntityId, memo: &EntityCache) -> Result<EntityFacts, Fault> {
         if let Some(known) = self.known.get(id).or_else(|| memo.get(id)) {
@@ -149,10 +160,10 @@ impl<'t> Writer<'t> {
     }
 
     /// Adds snapshots, and notes versions that were given. Returns how many snapshots are new.
-    fn add_all<'i>(
+    fn add_all(
         &mut self,
         snapshots: &[Arc<Snapshot>],
-        given: impl Iterator<Item = (Option<&'i EntityId>, u64)>,
+        given: &[Given],
         memo: &EntityCache,
         others_write: bool,
     ) -> Result<usize, Fault> {
@@ -161,7 +172,9 @@ impl<'t> Writer<'t> {
             new += usize::from(self.add(snapshot, memo, others_write)?);
         }
         for (id, version) in given {
-            self.note_given(id, version, memo)?;
+            let number =
+                id.as_ref().map_or(Ok(OF_OTHERS), |id| self.know(id, memo).map(|known| known.number))?;
+            self.given.insert(number, version)?;
         }
         Ok(new)
     }
@@ -312,27 +325,6 @@ impl<'t> Writer<'t> {
         Ok(true)
     }
 
-    /// Stores a list under a name, or removes it.
-    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<(), Fault> {
-        match list {
-            Some(list) => drop(self.named.insert(name, list)?),
-            None => drop(self.named.remove(name)?),
-        }
-        Ok(())
-    }
-
-    /// Notes the last version that an entity, or with `None` any entity that is not stored, may have been given.
-    pub(super) fn note_given(
-        &mut self,
-        id: Option<&EntityId>,
-        version: u64,
-        memo: &EntityCache,
-    ) -> Result<(), Fault> {
-        let number = id.map_or(Ok(OF_OTHERS), |id| self.know(id, memo).map(|known| known.number))?;
-        self.given.insert(number, version)?;
-        Ok(())
-    }
-
     /// Removes a chunk of which nothing is in the index.
     pub(super) fn remove_chunk(&mut self, chunk: u64) -> Result<(), Fault> {
         let length = self.chunks.remove(chunk)?.map_or(0, |removed| removed.value().len());
@@ -361,12 +353,12 @@ impl LongTermMemory {
         self.persist_with(snapshots, &[])
     }
 
-    /// As [`Self::persist`]; also notes the last versions that may have been given: of an entity, or with `None` of any
-    /// that is not stored. Not where several processes write: there a version counts once it is stored.
+    /// As [`Self::persist`]; also notes the last versions that may have been given. Not where several processes write: there a
+    /// version counts once it is stored.
     pub(super) fn persist_with(
         &self,
         snapshots: &[Arc<Snapshot>],
-        given: &[(Option<&EntityId>, u64)],
+        given: &[Given],
     ) -> Result<usize, StoreError> {
         let given = if self.shared { &[] } else { given };
         if snapshots.is_empty() && given.is_empty() {
@@ -379,7 +371,7 @@ impl LongTermMemory {
                 Ok(snapshots.len())
             }
             Ok(false) => self.write_in(&mut memo, |writer, memo| {
-                let new = writer.add_all(snapshots, given.iter().copied(), memo, self.shared)?;
+                let new = writer.add_all(snapshots, given, memo, self.shared)?;
                 self.journal(snapshots, given);
                 Ok((new, new > 0 || !given.is_empty()))
             }),
@@ -396,7 +388,7 @@ impl LongTermMemory {
     fn append(
         &self,
         snapshots: &[Arc<Snapshot>],
-        given: &[(Option<&EntityId>, u64)],
+        given: &[Given],
         memo: &EntityCache,
     ) -> Result<bool, StoreError> {
         if self.shared {
@@ -440,12 +432,12 @@ impl LongTermMemory {
         let written = self.with(|file| {
             let mut log = file.log.lock();
             let log = log.as_mut().filter(|log| !log.stored.is_empty());
-            let mut transaction = file.begin_write()?;
+            let mut transaction = file.database.begin_write()?;
             // So the file is opened at once after a kill.
             transaction.set_quick_repair(true);
             let mut writer = Writer::new(&transaction)?;
             if let Some(log) = &log {
-                writer.add_all(&log.stored.snapshots, log.stored.given(), memo, self.shared)?;
+                writer.add_all(&log.stored.snapshots, &log.stored.given, memo, self.shared)?;
                 writer.totals.round = log.next_round();
             }
             let (result, changed) = act(&mut writer, memo)?;

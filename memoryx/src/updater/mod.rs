@@ -19,8 +19,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::{Frame, Observation, ObservedPlace, Search, Shown, Value, Vector};
+use indexmap::IndexSet;
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::attributes::fields;
 use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::memory::Memory;
@@ -193,12 +195,12 @@ impl Updater {
     ) -> Result<Vec<Commit>, MemoryError> {
         let classes = self.memory.segment(OBJECT_CLASSES).await?;
         let mut updates = Vec::new();
-        for segment in distinct(observations.iter().map(|o| o.segment.as_str())) {
+        for segment in observations.iter().map(|o| o.segment.as_str()).collect::<IndexSet<_>>() {
             let pattern = Pattern::segment(segment).of_provider(&self.provider);
             let held = self.memory.query(&Query::latest(pattern)).await?;
             let mut names: Vec<String> = held.iter().map(|s| s.id.entity().to_owned()).collect();
             let of_segment = || observations.iter().enumerate().filter(|(_, o)| o.segment == segment);
-            for class in distinct(of_segment().map(|(_, o)| o.class.as_str())) {
+            for class in of_segment().map(|(_, o)| o.class.as_str()).collect::<IndexSet<_>>() {
                 let seen = of_segment().filter(|(_, o)| o.class == class).map(|(i, _)| i).collect::<Vec<_>>();
                 let is_of_class =
                     |s: &&Arc<Snapshot>| s.attribute("class").and_then(Value::as_str) == Some(class);
@@ -212,11 +214,7 @@ impl Updater {
                     let observation = &observations[matched.observation];
                     let update = match matched.entity {
                         Some(entity) => self.fused(observation, entity, (matched.predicted, evidence))?,
-                        None if observation.entity.is_some()
-                            && observation.confidence < self.settings.gone =>
-                        {
-                            continue;
-                        }
+                        None if self.is_gone(observation) => continue,
                         None => {
                             let own = observation.entity.clone();
                             let name = own.unwrap_or_else(|| free_name(class, &names));
@@ -288,15 +286,14 @@ impl Updater {
     /// What a search should have found and did not.
     async fn missed(&self, search: &Search, found: &[EntityId]) -> Result<Vec<Commit>, MemoryError> {
         let mut updates = Vec::new();
-        for segment in distinct(search.classes.iter().map(|(segment, _)| segment.as_str())) {
+        for segment in search.classes.iter().map(|(segment, _)| segment.as_str()).collect::<IndexSet<_>>() {
             let pattern = Pattern::segment(segment).of_provider(&self.provider);
             let held = self.memory.query(&Query::latest(pattern)).await?;
             for entity in held.iter().filter(|entity| !found.contains(&entity.id)) {
-                let Some(instance) = entity.instance().filter(|_| {
-                    self.sought_at(search, entity, &held).is_some_and(|(_, shown)| shown == Shown::Open)
-                }) else {
-                    continue;
-                };
+                let sought = self.sought_at(search, entity, &held);
+                let missed =
+                    sought.filter(|(_, shown)| *shown == Shown::Open).and_then(|_| entity.instance());
+                let Some(instance) = missed else { continue };
                 let confidence = fuse_absence(instance.confidence, self.settings.detection);
                 let left = Instance { confidence, ..instance.clone() };
                 let instances = if confidence < self.settings.gone { Vec::new() } else { vec![left] };
@@ -381,42 +378,34 @@ impl Updater {
     ) -> Result<Commit, MemoryError> {
         let measured = self.measured(observation)?;
         let id = entity.id.clone();
-        let gone = observation.entity.is_some() && observation.confidence < self.settings.gone;
-        let commit = match (last_counts(observation), measured) {
-            _ if gone => Commit::removal(id, observation.stamp_ns),
-            (true, measured) => {
-                commit_of(observation, id, observation.attributes.clone(), measured, observation.confidence)
+        if self.is_gone(observation) {
+            return Ok(Commit::removal(id, observation.stamp_ns).expecting(entity.version));
+        }
+        let before = entity.instance().filter(|_| !last_counts(observation));
+        let before = before.map(|i| (i.attributes.to_map(), i.confidence));
+        let (mut attributes, known) = before.unwrap_or_default();
+        attributes.extend(observation.attributes.clone());
+        let seen = observation.confidence;
+        let (place, confidence) = match (measured, evidence) {
+            (measured, _) if last_counts(observation) => (measured, seen),
+            // What was observed without a place stays where it was, and is no surer for that.
+            (None, _) => (prior, known),
+            (Some((frame, at)), Evidence::New) => {
+                let joined = prior.and_then(|(_, prior)| prior.fuse(&at));
+                (Some((frame, joined.unwrap_or(at))), fuse_confidence(known, seen))
             }
-            (false, measured) => {
-                let before = entity.instance().map(|i| (i.attributes.to_map(), i.confidence));
-                let (mut attributes, mut confidence) = before.unwrap_or_default();
-                attributes.extend(observation.attributes.clone());
-                // What was observed without a place stays where it was, and is no surer for that.
-                let place = match measured {
-                    Some((frame, seen)) => {
-                        let prior = prior.map(|(_, prior)| prior);
-                        let joined = match evidence {
-                            Evidence::New => {
-                                confidence = fuse_confidence(confidence, observation.confidence);
-                                prior.and_then(|prior| prior.fuse(&seen))
-                            }
-                            Evidence::FusedElsewhere => {
-                                confidence = confidence.max(observation.confidence);
-                                prior.and_then(|prior| prior.intersect(&seen))
-                            }
-                            Evidence::Moved => {
-                                confidence = observation.confidence;
-                                None
-                            }
-                        };
-                        Some((frame, joined.unwrap_or(seen)))
-                    }
-                    None => prior,
-                };
-                commit_of(observation, id, attributes, place, confidence)
+            (Some((frame, at)), Evidence::FusedElsewhere) => {
+                let joined = prior.and_then(|(_, prior)| prior.intersect(&at));
+                (Some((frame, joined.unwrap_or(at))), known.max(seen))
             }
+            (moved, Evidence::Moved) => (moved, seen),
         };
-        Ok(commit.expecting(entity.version))
+        Ok(commit_of(observation, id, attributes, place, confidence).expecting(entity.version))
+    }
+
+    /// Whether an observation says that the entity which it names is no longer there.
+    fn is_gone(&self, observation: &Observation) -> bool {
+        observation.entity.is_some() && observation.confidence < self.settings.gone
     }
 
     fn created(
@@ -426,10 +415,8 @@ impl Updater {
         classes: &[Arc<Snapshot>],
     ) -> Result<Commit, MemoryError> {
         let id = EntityId::new(&observation.segment, &self.provider, name)?;
-        let mut attributes = match last_counts(observation) {
-            true => BTreeMap::new(),
-            false => enrichment(&observation.class, classes),
-        };
+        let classes = if last_counts(observation) { &[] } else { classes };
+        let mut attributes = enrichment(&observation.class, classes);
         attributes.extend(observation.attributes.clone());
         let measured = self.measured(observation)?;
         Ok(commit_of(observation, id, attributes, measured, observation.confidence))
@@ -439,12 +426,12 @@ impl Updater {
     fn measured(&self, observation: &Observation) -> Result<Option<(Frame, Gaussian)>, MemoryError> {
         let Some(ObservedPlace { position, covariance }) = &observation.place else { return Ok(None) };
         let gaussian = Gaussian::new(position.vector(), Matrix3::from_row_slice(covariance));
-        let framed = gaussian.map(|gaussian| Some((position.frame.clone(), gaussian)));
-        framed.ok_or_else(|| MemoryError::Schema {
+        let gaussian = gaussian.ok_or_else(|| MemoryError::Schema {
             id: format!("{}/{}/{}", observation.segment, self.provider, observation.class),
             attribute: "position".into(),
             what: "needs finite numbers and a symmetric positive definite covariance, m²".into(),
-        })
+        })?;
+        Ok(Some((position.frame.clone(), gaussian)))
     }
 }
 
@@ -452,23 +439,11 @@ fn last_counts(observation: &Observation) -> bool {
     LAST_COUNTS.contains(&observation.segment.as_str())
 }
 
-/// Each item once, in the order in which it came first.
-fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
-    let mut kept = Vec::new();
-    for item in items {
-        if !kept.contains(&item) {
-            kept.push(item);
-        }
-    }
-    kept
-}
-
 /// The prior knowledge of a class: size, colour, mass, and its source.
 pub fn enrichment(class: &str, classes: &[Arc<Snapshot>]) -> BTreeMap<String, Value> {
     let Some(known) = classes.iter().find(|s| s.id.entity() == class) else { return BTreeMap::new() };
-    let taken = ["size", "color", "mass", "recognition"];
-    let mut attributes: BTreeMap<String, Value> =
-        taken.iter().filter_map(|name| Some(((*name).to_owned(), known.attribute(name)?.clone()))).collect();
+    let taken = ["size", "color", "mass", "recognition"].map(|name| (name, known.attribute(name).cloned()));
+    let mut attributes = fields(taken);
     attributes.insert("prior".into(), Value::Reference(known.id.reference("ObjectClass")));
     attributes
 }

@@ -72,18 +72,17 @@ impl MotionModel {
 
     /// The attributes that name the model.
     pub fn attributes(&self) -> Vec<(String, Value)> {
-        let named = |kind: &str| vec![("motion_model".to_owned(), Value::from(kind))];
-        let attached = |kind: &str, to: &str, offset: &Isometry3<f64>| {
-            let mut attributes = named(kind);
-            attributes.push(("attached_to".into(), to.into()));
-            attributes.push(("offset".into(), Value::Pose(Pose::new(Frame(to.to_owned()), offset))));
-            attributes
+        let (kind, carrier) = match self {
+            Self::Static => ("static", None),
+            Self::Hand { name, offset } => ("hand", Some((name, offset))),
+            Self::Object { id, offset } => ("object", Some((id, offset))),
         };
-        match self {
-            Self::Static => named("static"),
-            Self::Hand { name, offset } => attached("hand", name, offset),
-            Self::Object { id, offset } => attached("object", id, offset),
+        let mut attributes = vec![("motion_model".to_owned(), kind.into())];
+        if let Some((to, offset)) = carrier {
+            attributes.push(("attached_to".into(), to.as_str().into()));
+            attributes.push(("offset".into(), Value::Pose(Pose::new(Frame(to.clone()), offset))));
         }
+        attributes
     }
 }
 

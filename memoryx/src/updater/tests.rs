@@ -23,10 +23,17 @@ fn updater(memory: &Arc<WorkingMemory>) -> Updater {
     Updater::new(Arc::<WorkingMemory>::clone(memory), "vision").unwrap()
 }
 
+fn at(x: f64, y: f64) -> ObservedPlace {
+    ObservedPlace::new(&Frame::root(), &Vector3::new(x, y, 1.0), &(Matrix3::identity() * VARIANCE))
+}
+
 fn cup(seconds: f64, x: f64, y: f64) -> Observation {
-    let place =
-        ObservedPlace::new(&Frame::root(), &Vector3::new(x, y, 1.0), &(Matrix3::identity() * VARIANCE));
-    Observation::new(OBJECT_INSTANCES, "cup", (seconds * 1e9) as u64).at(place).with_confidence(0.6)
+    Observation::new(OBJECT_INSTANCES, "cup", (seconds * 1e9) as u64).at(at(x, y)).with_confidence(0.6)
+}
+
+/// The newest snapshot of an object.
+fn seen(memory: &WorkingMemory, name: &str) -> Arc<Snapshot> {
+    memory.latest_now(&EntityId::new(OBJECT_INSTANCES, "vision", name).unwrap()).unwrap()
 }
 
 fn names(found: &[(EntityId, u64)]) -> Vec<(&str, u64)> {
@@ -54,7 +61,7 @@ async fn a_place_is_fused_and_a_new_entity_enriched() {
     for x in [0.10, 0.12, 0.11, 0.09] {
         updater.update(&[cup(0.0, x, 0.0)]).await.unwrap();
     }
-    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let found = seen(&memory, "cup");
     let Some(Value::Vector(position)) = found.attribute("position") else { panic!("no position") };
     // Four observations of equal weight: their mean, a quarter of the variance.
     assert!((position.components[0] - 0.105).abs() < 1e-12);
@@ -77,7 +84,7 @@ async fn noise_becomes_as_small_as_it_can() {
         let at = (0.3 + noise() * VARIANCE.sqrt(), noise() * VARIANCE.sqrt());
         updater.update(&[cup(f64::from(i) * 0.03, at.0, at.1)]).await.unwrap();
     }
-    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let found = seen(&memory, "cup");
     let (_, position) = crate::place::place_of(&found).unwrap();
     // A hundredth of the variance: 1 mm, within three of it.
     assert!((position[0] - 0.3).abs() < 3e-3 && position[1].abs() < 3e-3, "{position:?}");
@@ -211,25 +218,15 @@ async fn what_should_be_seen_and_is_not_is_doubted_and_forgotten() {
     let before = confidence("cup_2").unwrap();
     // The first one is carried by somebody: his hand hides it.
     let held = MotionModel::Hand { name: "bob/right_hand".into(), offset: Isometry3::identity() };
-    let told = held
-        .attributes()
-        .into_iter()
-        .fold(Observation::new(OBJECT_INSTANCES, "cup", 0), |told, (name, value)| told.with(&name, value));
-    let first = memory.latest_now(&EntityId::new(OBJECT_INSTANCES, "vision", "cup").unwrap()).unwrap();
+    let first = seen(&memory, "cup");
     let mut attributes = first.instance().unwrap().attributes.to_map();
-    attributes.extend(told.attributes);
+    attributes.extend(held.attributes());
     memory.commit_now(vec![Commit::new(first.id.clone(), first.referenced_ns, attributes)]).unwrap();
     for frame in 0..3 {
         updater.update_from(&[], Some(&look(0.3 + f64::from(frame) * 0.07))).await.unwrap();
     }
     assert!(confidence("cup_2").unwrap() < before);
-    assert_eq!(
-        memory
-            .latest_now(&EntityId::new(OBJECT_INSTANCES, "vision", "cup_2").unwrap())
-            .unwrap()
-            .referenced_ns,
-        200_000_000
-    );
+    assert_eq!(seen(&memory, "cup_2").referenced_ns, 200_000_000);
     for _ in 0..12 {
         updater.update_from(&[], Some(&look(0.6))).await.unwrap();
     }
@@ -246,10 +243,8 @@ async fn what_is_not_where_it_was_but_elsewhere_has_moved() {
     let first = updater.update(&[cup(0.0, 0.0, 0.0), cup(0.0, 0.3, 0.0)]).await.unwrap();
     assert_eq!(names(&first), [("cup", 1), ("cup_2", 1)]);
     let both = [cup(0.1, 0.3, 0.0), cup(0.1, -0.2, 0.1)];
-    assert_eq!(
-        names(&updater.update_from(&both, Some(&look(0.1))).await.unwrap()),
-        [("cup_2", 2), ("cup", 2)]
-    );
+    let found = updater.update_from(&both, Some(&look(0.1))).await.unwrap();
+    assert_eq!(names(&found), [("cup_2", 2), ("cup", 2)]);
     let moved = memory.latest_now(&first[0].0).unwrap();
     assert_eq!(moved.attribute("position").and_then(Value::as_vector3), Some([-0.2, 0.1, 1.0]));
     assert_eq!(moved.instance().unwrap().confidence, 0.6);
@@ -271,13 +266,10 @@ async fn what_others_have_fused_is_no_new_evidence() {
     for _ in 0..10 {
         updater.adopt(&[cup(0.0, 0.11, 0.0)]).await.unwrap();
     }
-    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let found = seen(&memory, "cup");
     let instance = found.instance().unwrap();
-    assert!(
-        (instance.covariance["position"][0] - VARIANCE).abs() < 1e-9,
-        "no surer: {:?}",
-        instance.covariance
-    );
+    let covariance = &instance.covariance["position"];
+    assert!((covariance[0] - VARIANCE).abs() < 1e-9, "no surer: {covariance:?}");
     assert_eq!(instance.confidence, 0.6);
 }
 
@@ -286,9 +278,7 @@ async fn who_follows_entities_himself_names_them_and_says_when_they_are_gone() {
     let memory = memory();
     let updater = updater(&memory);
     let named = |name: &str, x: f64, confidence: f64| {
-        let place =
-            ObservedPlace::new(&Frame::root(), &Vector3::new(x, 0.0, 1.0), &(Matrix3::identity() * VARIANCE));
-        let seen = Observation::new("EnvironmentModels", "table", 1).at(place);
+        let seen = Observation::new("EnvironmentModels", "table", 1).at(at(x, 0.0));
         seen.named(name).with_confidence(confidence)
     };
     let first = updater.update(&[named("table", 0.0, 0.9), named("table_2", 2.0, 0.9)]).await.unwrap();

@@ -34,17 +34,42 @@ pub(super) struct Request {
 /// Takes the result of a request.
 pub(super) type Answer = Box<dyn FnOnce(CommitResult) + Send>;
 
+/// A thread for whose end whoever drops this waits.
+pub(crate) struct AwaitedThread(Option<JoinHandle<()>>);
+
+impl AwaitedThread {
+    /// Starts a thread. `missing`: what is said where there is none.
+    pub(crate) fn start(
+        name: &str,
+        missing: &str,
+        work: impl FnOnce() + Send + 'static,
+    ) -> Result<Self, MemoryError> {
+        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+        let thread = thread.map_err(|e| MemoryError::Store { what: format!("{missing}: {e}") })?;
+        Ok(Self(Some(thread)))
+    }
+}
+
+impl Drop for AwaitedThread {
+    fn drop(&mut self) {
+        if let Some(thread) = self.0.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
 /// The thread that commits for a memory with a backing. Dropping it waits until it has answered everything.
 pub(super) struct CommittingThread {
-    requests: Option<mpsc::Sender<(Request, Answer)>>,
-    thread: Option<JoinHandle<()>>,
+    requests: mpsc::Sender<(Request, Answer)>,
+    /// Dropped after `requests` (the order of the fields), which ends it.
+    _thread: AwaitedThread,
 }
 
 impl CommittingThread {
     pub(super) fn start(core: Arc<Core>) -> Result<Self, MemoryError> {
         let (requests, waiting) = mpsc::channel::<(Request, Answer)>();
         // In virtual time, whoever commits waits on his own thread, so that the clock waits with him.
-        let thread = std::thread::Builder::new().name("memory".into()).spawn(move || {
+        let thread = AwaitedThread::start("memory", "no thread for it", move || {
             while let Ok(first) = waiting.recv() {
                 let more = waiting.try_iter().take(MAX_GROUP - 1);
                 let (requests, answers): (Vec<_>, Vec<_>) = std::iter::once(first).chain(more).unzip();
@@ -52,22 +77,12 @@ impl CommittingThread {
                 answers.into_iter().zip(results).for_each(|(answer, result)| answer(result));
             }
         });
-        let thread = thread.map_err(|e| MemoryError::Store { what: format!("no thread for it: {e}") })?;
-        Ok(Self { requests: Some(requests), thread: Some(thread) })
+        Ok(Self { requests, _thread: thread? })
     }
 
     pub(super) fn commit(&self, request: Request, answer: Answer) {
         // If the thread has ended, the answer is dropped here, which its receiver notices.
-        let _ = self.requests.as_ref().map(|requests| requests.send((request, answer)));
-    }
-}
-
-impl Drop for CommittingThread {
-    fn drop(&mut self) {
-        self.requests = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        let _ = self.requests.send((request, answer));
     }
 }
 
@@ -213,14 +228,21 @@ impl Core {
             return Err(MemoryError::ReadOnly { id: update.id.to_string() });
         }
         self.check(&update.id, &update.instances)?;
-        self.check_time(&update, writer.last_arrival)?;
+        let ahead_ns = update.referenced_ns.saturating_sub(writer.last_arrival);
+        if self.limits.ahead_ns.is_some_and(|most| ahead_ns > most) {
+            let (id, ahead_s) = (update.id.to_string(), ahead_ns / 1_000_000_000);
+            return Err(MemoryError::Future { id, ahead_s });
+        }
         let newest = next.newest(&update.id);
         let backed = || self.backing.as_ref().map_or(Ok(0), |b| b.last_version(&update.id));
         let (version, is_gone) = match newest {
             Some(newest) => (newest.version, newest.is_removed()),
             None => (backed()?, true),
         };
-        expect(&update, if is_gone { 0 } else { version })?;
+        let actual = if is_gone { 0 } else { version };
+        if let Some(expected) = update.expected_version.filter(|expected| *expected != actual) {
+            return Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual });
+        }
         let given =
             if next.is_partial { backed()? } else { writer.given.get(&update.id).copied().unwrap_or(0) };
         let version = version.max(given);
@@ -240,16 +262,6 @@ impl Core {
             }
         }
         Ok(())
-    }
-
-    fn check_time(&self, update: &Commit, now_ns: u64) -> Result<(), MemoryError> {
-        let ahead_ns = update.referenced_ns.saturating_sub(now_ns);
-        match self.limits.ahead_ns {
-            Some(most) if ahead_ns > most => {
-                Err(MemoryError::Future { id: update.id.to_string(), ahead_s: ahead_ns / 1_000_000_000 })
-            }
-            _ => Ok(()),
-        }
     }
 
     /// Checks that there is capacity for a snapshot in the whole memory and in its owner's share, if given. The snapshot
@@ -281,14 +293,5 @@ impl Core {
             }
         }
         Ok(())
-    }
-}
-
-fn expect(update: &Commit, actual: u64) -> Result<(), MemoryError> {
-    match update.expected_version {
-        Some(expected) if expected != actual => {
-            Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual })
-        }
-        _ => Ok(()),
     }
 }

@@ -105,7 +105,7 @@ impl SegmentContent {
     /// The entities that changed since the query's `arrived_since`, in order of address; `None` when the query has
     /// none, or the changes since then are no longer remembered.
     fn arrived(&self, asked: &CheckedQuery<'_>) -> Option<OrdSet<EntityId>> {
-        let since = asked.query().arrived_since.filter(|since| *since > self.forgotten_until)?;
+        let since = asked.query.arrived_since.filter(|since| *since > self.forgotten_until)?;
         let newest_first = self.arrivals.iter().rev();
         Some(newest_first.take_while(|(arrived, _)| *arrived >= since).map(|(_, id)| id.clone()).collect())
     }
@@ -152,14 +152,14 @@ impl Content {
 
     /// Adds a query's selection to `answer`, in order of address, then version.
     pub(super) fn select(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) {
-        if let Some(id) = asked.query().pattern.exact() {
+        if let Some(id) = asked.query.pattern.exact() {
             if let Some(history) = self.history(&id) {
                 answer.consider(&id, || history.iter().cloned());
             }
             return;
         }
-        let one = asked.query().pattern.exact_segment();
-        let first = asked.query().after.as_ref().map(|after| &after.id);
+        let one = asked.query.pattern.exact_segment();
+        let first = asked.query.after.as_ref().map(|after| &after.id);
         let from = one.or(first.map(EntityId::segment)).map_or(Unbounded, Included);
         for (_, segment) in self.segments.range::<_, str>((from, one.map_or(Unbounded, Included))) {
             let mut consider = |id: &EntityId| {

@@ -60,11 +60,11 @@ impl Index {
         asked: &CheckedQuery<'_>,
         newest: impl Fn(&EntityId) -> Option<&'s Arc<Snapshot>>,
     ) -> Option<OrdSet<EntityId>> {
-        if asked.query().times != Times::Latest || asked.query().removed {
+        if asked.query.times != Times::Latest || asked.query.removed {
             return None;
         }
         let of_class = asked.wanted_class().map(|class| self.classes.get(class).cloned().unwrap_or_default());
-        let there = asked.query().region.as_ref().and_then(|region| match region {
+        let there = asked.query.region.as_ref().and_then(|region| match region {
             SpatialRegion::Box { frame, min, max } => self.within(frame, *min, *max),
             SpatialRegion::Within { frame, of, radius } => {
                 self.within(frame, of.map(|x| x - radius), of.map(|x| x + radius))

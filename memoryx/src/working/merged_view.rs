@@ -34,7 +34,7 @@ impl MergedView<'_> {
         asked: &CheckedQuery<'_>,
         goes_on: &dyn Fn() -> bool,
     ) -> Result<Answer, MemoryError> {
-        let query = asked.query();
+        let query = asked.query;
         let mut answer = asked.answer(goes_on);
         let is_counted = query.limit.is_some() || matches!(query.times, Times::Index(..));
         match query.limit {
@@ -48,7 +48,7 @@ impl MergedView<'_> {
     /// Adds the selection from each snapshot; for queries of one snapshot per entity, from the newest one of both
     /// memories.
     fn add(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
-        let mut wide = wider(asked.query(), self.part);
+        let mut wide = wider(asked.query, self.part);
         loop {
             let (known, end) = self.part(&wide)?;
             for (_, history) in known.into_iter().filter(|(id, _)| asked.wants(id)) {
@@ -77,12 +77,12 @@ impl MergedView<'_> {
                 known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
             }
         }
-        Ok((known, end.map(|(id, version)| Cursor { id, version })))
+        Ok((known, end))
     }
 
     /// Adds the selection entity by entity, for queries that count snapshots.
     fn add_entities(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
-        let query = asked.query();
+        let query = asked.query;
         if let Some(id) = query.pattern.exact() {
             return if asked.wants(&id) { self.add_entity(asked, &id, answer) } else { Ok(()) };
         }
@@ -110,7 +110,7 @@ impl MergedView<'_> {
         id: &EntityId,
         answer: &mut Selection<'_>,
     ) -> Result<(), MemoryError> {
-        let mut query = Query { pattern: Pattern::entity(id), limit: None, ..asked.query().clone() };
+        let mut query = Query { pattern: Pattern::entity(id), limit: None, ..asked.query.clone() };
         if let Times::Index(from, to) = query.times {
             let all = Query::history(query.pattern.clone());
             let all = CheckedQuery { query: &all, filter: None, clock: None };
@@ -122,7 +122,7 @@ impl MergedView<'_> {
             query.times = Times::Versions(first, last);
         }
         let one = CheckedQuery { query: &query, filter: asked.filter.clone(), clock: asked.clock };
-        let Some(limit) = asked.query().limit else { return self.add(&one, answer) };
+        let Some(limit) = asked.query.limit else { return self.add(&one, answer) };
         // If there are fewer, all are selected.
         let Some(first) = self.nth(&one, id, limit.saturating_sub(1), true)? else {
             return self.add(&one, answer);
@@ -154,7 +154,7 @@ impl MergedView<'_> {
             }
             found.is_some()
         };
-        self.kept.versions(asked.query(), backwards, &mut |version| {
+        self.kept.versions(asked.query, backwards, &mut |version| {
             let is_before = |held: &u64| if backwards { *held > version } else { *held < version };
             while let Some(earlier) = held.next_if(is_before) {
                 is_found(earlier);
@@ -169,8 +169,8 @@ impl MergedView<'_> {
 
 /// The position of a snapshot in the order of parts. For queries of one snapshot per entity, parts do not divide
 /// entities.
-fn place(snapshot: &Snapshot, query: &Query) -> (EntityId, u64) {
-    (snapshot.id.clone(), if is_one(query.times) { u64::MAX } else { snapshot.version })
+fn place(snapshot: &Snapshot, query: &Query) -> Cursor {
+    if is_one(query.times) { Cursor::behind(&snapshot.id) } else { Cursor::after(snapshot) }
 }
 
 /// Whether a query selects at most one snapshot per entity.

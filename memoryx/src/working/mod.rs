@@ -31,6 +31,7 @@ mod content;
 mod index;
 mod merged_view;
 
+pub(crate) use committing::AwaitedThread;
 use committing::{CommittingThread, Request, WriterState};
 use content::Content;
 use merged_view::MergedView;
@@ -207,11 +208,6 @@ impl WorkingMemory {
         self
     }
 
-    /// The typed core segments by name.
-    pub fn schemas(&self) -> &BTreeMap<String, SegmentSchema> {
-        &self.core.schemas
-    }
-
     /// The memory's time, ns.
     pub fn now_ns(&self) -> u64 {
         self.core.now_ns()
@@ -278,15 +274,7 @@ impl WorkingMemory {
     /// # Errors
     /// As [`Memory::commit`].
     pub fn commit_now(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        self.commit_sent(updates, self.now_ns())
-    }
-
-    /// [`Self::commit_now`] of updates that were sent at `sent_ns`.
-    ///
-    /// # Errors
-    /// As [`Memory::commit`].
-    pub fn commit_sent(&self, updates: Vec<Commit>, sent_ns: u64) -> Result<Vec<u64>, MemoryError> {
-        self.commit_waiting(updates, sent_ns, false)
+        self.commit_waiting(updates, false)
     }
 
     /// Takes updates that were sent at `sent_ns` into the order of commits at once. The future gives their versions when
@@ -317,11 +305,11 @@ impl WorkingMemory {
 
     /// Commits, also into read-only provider segments.
     pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        self.commit_waiting(updates, self.now_ns(), true)
+        self.commit_waiting(updates, true)
     }
 
-    fn commit_waiting(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
-        let request = Request { updates, sent_ns, prior };
+    fn commit_waiting(&self, updates: Vec<Commit>, prior: bool) -> CommitResult {
+        let request = Request { updates, sent_ns: self.now_ns(), prior };
         if self.core.backing.is_none() {
             return self.core.commit_together(vec![request]).pop().unwrap_or_else(|| Err(ended()));
         }

@@ -1,4 +1,7 @@
-//! A TCP proxy between two sessions of a test, which can be paused or cut.
+//! A TCP proxy between two sessions of a test or a benchmark, which can be paused or cut, and counts its bytes.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+#![allow(dead_code, reason = "nobody uses all of it")]
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -27,9 +30,9 @@ pub(crate) async fn proxy(to: &str) -> (String, watch::Sender<ProxyState>) {
     (start(to, state, Arc::default()).await, sender)
 }
 
-/// A proxy that counts the bytes that come from the endpoint.
-pub(crate) async fn counting_proxy(to: &str) -> (String, Arc<AtomicU64>) {
-    let bytes = Arc::new(AtomicU64::new(0));
+/// A proxy that counts the bytes to the endpoint and from it.
+pub(crate) async fn counting_proxy(to: &str) -> (String, Arc<[AtomicU64; 2]>) {
+    let bytes: Arc<[AtomicU64; 2]> = Arc::default();
     let (sender, state) = watch::channel(ProxyState::Open);
     let endpoint = start(to, state, Arc::clone(&bytes)).await;
     // The proxy lives as long as the test.
@@ -37,7 +40,7 @@ pub(crate) async fn counting_proxy(to: &str) -> (String, Arc<AtomicU64>) {
     (endpoint, bytes)
 }
 
-async fn start(to: &str, state: watch::Receiver<ProxyState>, bytes: Arc<AtomicU64>) -> String {
+async fn start(to: &str, state: watch::Receiver<ProxyState>, bytes: Arc<[AtomicU64; 2]>) -> String {
     let to: SocketAddr = to.strip_prefix("tcp/").unwrap().parse().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
@@ -49,7 +52,12 @@ async fn start(to: &str, state: watch::Receiver<ProxyState>, bytes: Arc<AtomicU6
     endpoint
 }
 
-async fn connect(near: TcpStream, to: SocketAddr, state: watch::Receiver<ProxyState>, bytes: Arc<AtomicU64>) {
+async fn connect(
+    near: TcpStream,
+    to: SocketAddr,
+    state: watch::Receiver<ProxyState>,
+    bytes: Arc<[AtomicU64; 2]>,
+) {
     if *state.borrow() == ProxyState::Cut {
         return;
     }
@@ -58,12 +66,11 @@ async fn connect(near: TcpStream, to: SocketAddr, state: watch::Receiver<ProxySt
     let Ok(far) = socket.connect(to).await else { return };
     let ((from_near, to_near), (from_far, to_far)) = (near.into_split(), far.into_split());
     let mut is_cut = state.clone();
-    let sent = AtomicU64::new(0);
     tokio::select! {
         biased;
         _ = is_cut.wait_for(|state| *state == ProxyState::Cut) => {}
-        () = pass(from_near, to_far, state.clone(), &sent) => {}
-        () = pass(from_far, to_near, state.clone(), &bytes) => {}
+        () = pass(from_near, to_far, state.clone(), &bytes[0]) => {}
+        () = pass(from_far, to_near, state.clone(), &bytes[1]) => {}
     }
 }
 
