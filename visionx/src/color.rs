@@ -23,6 +23,8 @@ pub struct ColorModel {
 
 /// Half angle of the cone for a colour of full hue, rad.
 const HALF_ANGLE: f32 = 0.105;
+/// A hue that is nearer to another one than this is nearly the same, rad.
+const NEAR_HUE: f32 = 0.06;
 /// Widening by noise: about three times the noise of the cameras (sigma 2), grey levels.
 const NOISE_RADIUS: f32 = 5.0;
 /// Length under which a pixel has no usable direction, grey levels.
@@ -66,6 +68,12 @@ impl ColorModel {
         }
         let tangent = (2.5 * (squares / n).sqrt()).clamp(0.03, self.tangent.max(0.03));
         Self { direction, tangent, ..*self }
+    }
+
+    /// As [`learned`](Self::learned), by those of the pixels that have nearly the hue of most of them: some may be of another thing.
+    pub(crate) fn learned_from_most(&self, pixels: &[[u8; 3]]) -> Self {
+        let most = Self { tangent: libm::tanf(NEAR_HUE), ..Self::from_rgb(median_color(pixels)) };
+        self.learned(pixels.iter().copied().filter(|pixel| most.accepts(*pixel)))
     }
 
     /// The angle between a colour (RGB, any length) and the reference, rad; a right angle for black.
@@ -115,6 +123,20 @@ impl ColorModel {
         // Non-short-circuit `&`: the loop over pixels stays free of branches.
         (across <= limit * limit) & (along >= self.range.0) & (along <= self.range.1)
     }
+}
+
+/// The median of each channel.
+pub(crate) fn median_color(colors: &[[u8; 3]]) -> [u8; 3] {
+    [0, 1, 2].map(|channel| {
+        let mut histogram = [0u32; 256];
+        colors.iter().for_each(|color| histogram[usize::from(color[channel])] += 1);
+        let mut sum = 0;
+        let middle = histogram.iter().position(|n| {
+            sum += n;
+            2 * sum as usize >= colors.len()
+        });
+        middle.unwrap_or(0) as u8
+    })
 }
 
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {

@@ -14,7 +14,7 @@ use nalgebra::{
 };
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::color::ColorModel;
+use crate::color::{ColorModel, median_color};
 use crate::components::{Component, components, fill_holes};
 use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::Mask;
@@ -81,6 +81,8 @@ const BORDER_REACH_PX: f64 = 2.5;
 const NEAR: f64 = 0.1;
 /// So far outside of its border an object's colour may be mixed with that of its surroundings, px.
 const MIXED_PX: i64 = 3;
+/// A hue that is further than this from another one is certainly another, rad.
+const OTHER_HUE: f64 = 0.2;
 /// Where less than this share of its border is one to the surroundings, these have many colours.
 const LEAST_OWN: f64 = 0.3;
 /// Standard deviation of a border point, px: pixels are 0.29 by themselves.
@@ -138,7 +140,7 @@ impl ObjectLocalizer {
             for r in right.iter().take(4) {
                 let Some(start) = self.start(l, r, &surface_from_left) else { continue };
                 let eyes =
-                    [Self::eye(l, &left, &frame.left, start.1), Self::eye(r, &right, &frame.right, start.1)];
+                    [self.eye(l, &left, &frame.left, start.1), self.eye(r, &right, &frame.right, start.1)];
                 let fit = self.fit(&eyes, &start.0, &surface_from_left).filter(PoseFit::convinces);
                 let better = |fit: &PoseFit| best.as_ref().is_none_or(|best| fit.quality() > best.quality());
                 best = fit.filter(better).or(best);
@@ -160,8 +162,8 @@ impl ObjectLocalizer {
         let away = (left_from_root * expected).translation.vector.z.max(0.1);
         let radius_px = 0.5 * self.size.norm() * self.calibration.camera.focal / away;
         let eyes = [
-            Self::eye(left.first()?, &left, &frame.left, radius_px),
-            Self::eye(right.first()?, &right, &frame.right, radius_px),
+            self.eye(left.first()?, &left, &frame.left, radius_px),
+            self.eye(right.first()?, &right, &frame.right, radius_px),
         ];
         self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root)
             .filter(PoseFit::convinces)
@@ -190,7 +192,7 @@ impl ObjectLocalizer {
     /// The components of both images that have the colour of one of the left image as it is seen there, the one at its place first, then the largest. What has a
     /// similar colour, as the robot's own arms may have, is not taken for a part of it.
     fn pieces_like(&self, shown: &Component, frame: &StereoFrame) -> [Vec<Component>; 2] {
-        let color = self.color.learned(shown.colors(&frame.left));
+        let color = self.color.learned_from_most(&shown.colors(&frame.left).collect::<Vec<_>>());
         let [mut left, right] =
             [&frame.left, &frame.right].map(|image| components(&color.segment(image), MIN_AREA));
         let away = |piece: &Component| (piece.centroid - shown.centroid).norm();
@@ -233,7 +235,7 @@ impl ObjectLocalizer {
     }
 
     /// The observation around a component: the component with the pieces near it, and the surroundings.
-    fn eye(seed: &Component, all: &[Component], image: &RgbImage, radius_px: f64) -> Eye {
+    fn eye(&self, seed: &Component, all: &[Component], image: &RgbImage, radius_px: f64) -> Eye {
         let (w, h) = (image.width(), image.height());
         let border = (radius_px * 1.2).min(400.0) as u32 + 4;
         let mut object = seed.mask(border, w, h);
@@ -244,7 +246,7 @@ impl ObjectLocalizer {
         let sums = RowSums::of(&object);
         // What is inside, pixels of noise or things that stand on it, is no border of it.
         fill_holes(&mut object, u32::MAX);
-        let border = own_border(&border_points(&object, w, h), image);
+        let border = own_border(&border_points(&object, w, h), &self.color, image);
         Eye { area, border, center: seed.centroid, surroundings, object: sums }
     }
 
@@ -399,12 +401,15 @@ impl PoseFit {
     }
 }
 
-/// The border of an object to what is around most of it, without that to what hides it. All of it where that is nearly all, as where the
-/// surroundings have many colours.
-fn own_border(border: &[BorderPoint], image: &RgbImage) -> Vec<Point2<f64>> {
+/// The border of an object of this colour to what is around most of it, without that to what hides it. All of it where that is nearly all,
+/// as where the surroundings have many colours.
+fn own_border(border: &[BorderPoint], color: &ColorModel, image: &RgbImage) -> Vec<Point2<f64>> {
     let outside: Vec<[u8; 3]> = border.iter().map(|point| point.outside(image, MIXED_PX)).collect();
-    let around = ColorModel::from_rgb(median_color(&outside));
-    let own = |(_, color): &(&BorderPoint, &[u8; 3])| around.accepts(**color);
+    // Where what is beside it is nearly of its hue, its border is not sure.
+    let other = |pixel: &&[u8; 3]| color.angle(pixel.map(f64::from)) > OTHER_HUE;
+    let around =
+        ColorModel::from_rgb(median_color(&outside.iter().filter(other).copied().collect::<Vec<_>>()));
+    let own = |(_, pixel): &(&BorderPoint, &[u8; 3])| around.accepts(**pixel);
     let found: Vec<Point2<f64>> =
         border.iter().zip(&outside).filter(own).map(|(point, _)| point.at).collect();
     let is_enough = found.len() as f64 > LEAST_OWN * border.len() as f64;
@@ -460,20 +465,6 @@ fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
         *m &= 1 - o;
     }
     mask
-}
-
-/// The median of each channel.
-fn median_color(colors: &[[u8; 3]]) -> [u8; 3] {
-    [0, 1, 2].map(|channel| {
-        let mut histogram = [0u32; 256];
-        colors.iter().for_each(|color| histogram[usize::from(color[channel])] += 1);
-        let mut sum = 0;
-        let middle = histogram.iter().position(|n| {
-            sum += n;
-            2 * sum as usize >= colors.len()
-        });
-        middle.unwrap_or(0) as u8
-    })
 }
 
 #[cfg(test)]
@@ -550,6 +541,23 @@ mod tests {
             let far = Translation3::new(0.0, 0.3, 0.0) * root_from_block;
             assert_eq!(localizer.follow(&frame, &far), None);
         }
+    }
+
+    #[test]
+    fn a_part_of_the_robot_before_it_is_no_part_of_it() {
+        let (size, blue) = (Vector3::new(0.7, 0.3, 0.03), [40, 90, 200]);
+        let localizer = ObjectLocalizer::new(CALIBRATION, size, blue);
+        let at = Isometry3::new(Vector3::new(0.28, 0.55, 0.915), Vector3::z() * 0.05);
+        let tray = Thing::Block { root_from_block: at, size, color: blue };
+        let chest = Thing::Block {
+            root_from_block: Isometry3::new(Vector3::new(0.2, 0.38, 1.0), Vector3::z() * 0.05),
+            size: Vector3::new(1.2, 0.08, 0.08),
+            color: [38, 52, 100],
+        };
+        let frame = frame(&[table(TABLE), tray, chest], 0, 3);
+        let followed = |at: Isometry3<f64>, _| localizer.follow(&frame, &at).unwrap().root_from_object;
+        let off = at.inverse() * (0..6).fold(at, followed);
+        assert!(off.translation.vector.norm() < 0.002, "{off}");
     }
 
     #[test]
