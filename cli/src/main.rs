@@ -47,7 +47,7 @@ use clap::{Parser, Subcommand};
 
 /// Robot behaviour as statecharts: check it, run it, look at what happened.
 #[derive(Debug, Parser)]
-#[command(name = "armarium", version, about, max_term_width = 100)]
+#[command(name = "armarium", version, max_term_width = 100)]
 #[command(after_help = "Examples:\n  \
     armarium run statecharts/wiping.yaml                      the wiping scenario in the simulator\n  \
     armarium run statecharts/wiping.yaml --set contact_force=10 --seed 3 --report out\n  \
