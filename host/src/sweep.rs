@@ -12,6 +12,8 @@ use std::process::{Child, Command, Stdio};
 use armarium_values::report::{Block, Cell, Column, Figure, Section, Table};
 use armarium_viewer::report::{self, ReportData};
 use parking_lot::Mutex;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -22,6 +24,8 @@ const RUNS: &str = "sweep.jsonl";
 const PAGE: &str = "sweep.html";
 /// Runs whose reports the page names, of those that did not hold or came closest to that.
 const WORST: usize = 10;
+/// How often a mean is drawn anew for its interval.
+const RESAMPLES: usize = 2000;
 /// The quantile of the normal distribution for 95 %.
 const Z: f64 = 1.959_964;
 
@@ -321,12 +325,13 @@ pub fn write_page(config: &SweepConfig, runs: &[SweptRun], folder: &Path) -> Res
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let text = |text: &str| Column { title: text.into(), is_number: false };
     let number = |text: &str| Column { title: text.into(), is_number: true };
-    let rates = groups(runs).into_iter().map(|(name, group)| {
-        let Rate { held, runs, interval } = rate(&group);
+    let by_inputs = groups(runs);
+    let rates = by_inputs.iter().map(|(name, group)| {
+        let Rate { held, runs, interval } = rate(group);
         let share = Cell::Text(percent(held as f64 / runs.max(1) as f64));
         let range = Cell::Text(format!("{} to {}", percent(interval[0]), percent(interval[1])));
         vec![
-            Cell::Code(name),
+            Cell::Code(name.clone()),
             Cell::number(held as f64, "", 0),
             Cell::number(runs as f64, "", 0),
             share,
@@ -347,9 +352,10 @@ pub fn write_page(config: &SweepConfig, runs: &[SweptRun], folder: &Path) -> Res
     worst.sort_by_key(|run| (run.outcome == "success", usize::MAX - run.failed_figures().count()));
     let worst = worst.into_iter().filter(|run| !run.held()).take(WORST).map(|run| {
         let why = run.failed_figures().map(|figure| {
-            let value =
-                figure.value.map_or("missing".to_owned(), |value| format!("{value:.*}", figure.digits));
-            format!("{}: {} {value} {}", figure.group, figure.name, figure.unit)
+            let value = figure.value.map_or("(not measured)".to_owned(), |value| {
+                format!("{value:.*} {}", figure.digits, figure.unit)
+            });
+            format!("{}: {} {value}", figure.group, figure.name)
         });
         let why: Vec<String> = run.reason.iter().cloned().chain(why).collect();
         let inputs =
@@ -364,35 +370,93 @@ pub fn write_page(config: &SweepConfig, runs: &[SweptRun], folder: &Path) -> Res
     });
     let worst =
         Table { columns: ["run", "inputs", "outcome", "why"].map(text).into(), rows: worst.collect() };
-    let figures = Table {
-        columns: vec![
-            text("figure"),
-            number("least"),
-            number("median"),
-            number("most"),
-            number("as required"),
-        ],
-        rows: spread(&all),
+    let figures = |runs: &[&SweptRun]| {
+        let titles = ["least", "median", "most", "as required"].map(number);
+        Block::Table(Table {
+            columns: [text("figure")].into_iter().chain(titles).collect(),
+            rows: spread(runs),
+        })
     };
     let mut sections = vec![Section::new("Rates", "Wilson's interval.", vec![Block::Table(rates)])];
     if !worst.rows.is_empty() {
         sections.push(Section::new("What did not hold", "", vec![Block::Table(worst)]));
     }
-    sections.push(Section::new("Figures", "Over all runs.", vec![Block::Table(figures)]));
+    for (name, group) in &by_inputs {
+        let title = if name.is_empty() { "Figures".to_owned() } else { format!("Figures with {name}") };
+        sections.push(Section::new(&title, "", vec![figures(group)]));
+    }
+    if let [(reference, first), others @ ..] = by_inputs.as_slice() {
+        for (name, group) in others {
+            let rows = differences(first, group);
+            let columns =
+                [text("figure")].into_iter().chain(["runs", "mean", "95 % interval"].map(number)).collect();
+            let note = "Of the runs with the same seed, for which both have the figure; the interval is bootstrapped over seeds.";
+            let title = format!("What {name} changes against {reference}");
+            sections.push(Section::new(&title, note, vec![Block::Table(Table { columns, rows })]));
+        }
+    }
     let data = ReportData {
         title: config.chart.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
         subtitle: format!("{count} runs: armarium run {}", config.arguments.join(" ")),
-        outcome: format!("{held} of {count}"),
-        facts: vec![(
-            "95 % interval".into(),
-            format!("{} to {}", percent(interval[0]), percent(interval[1])),
-        )],
+        outcome: if held == count { "success".into() } else { format!("{held} of {count}") },
+        facts: vec![
+            ("held".into(), format!("{held} of {count}")),
+            ("95 % interval".into(), format!("{} to {}", percent(interval[0]), percent(interval[1]))),
+        ],
         sections,
         ..ReportData::default()
     };
     let page = folder.join(PAGE);
     std::fs::write(&page, report::render(&data)).map_err(|error| file_error(&page, error))?;
     Ok(page)
+}
+
+/// How much the figures of the other runs differ from those of the first ones with the same seed: how many do, the mean, and its interval.
+fn differences(first: &[&SweptRun], other: &[&SweptRun]) -> Vec<Vec<Cell>> {
+    let value = |run: &SweptRun, of: &Figure| {
+        run.figures.iter().find(|f| (&f.group, &f.name) == (&of.group, &of.name)).and_then(|f| f.value)
+    };
+    let mut rows = Vec::new();
+    let mut figures: Vec<&Figure> = Vec::new();
+    for figure in first.iter().flat_map(|run| &run.figures) {
+        if !figures.iter().any(|known| (&known.group, &known.name) == (&figure.group, &figure.name)) {
+            figures.push(figure);
+        }
+    }
+    for figure in figures {
+        let pair = |run: &&SweptRun| {
+            let twin = other.iter().find(|twin| twin.seed == run.seed)?;
+            Some(value(twin, figure)? - value(run, figure)?)
+        };
+        let pairs: Vec<f64> = first.iter().filter_map(pair).collect();
+        let Some([mean, low, high]) = bootstrapped_mean(&pairs) else { continue };
+        let (unit, digits) = (&figure.unit, figure.digits);
+        rows.push(vec![
+            Cell::Text(format!("{}: {}", figure.group, figure.name)),
+            Cell::number(pairs.len() as f64, "", 0),
+            Cell::number(mean, unit, digits),
+            Cell::Text(format!("{low:.digits$} to {high:.digits$} {unit}")),
+        ]);
+    }
+    rows
+}
+
+/// The mean of some values, and its 95 % interval by the bootstrap's percentiles; none of fewer than two values.
+///
+/// # Source
+/// Efron and Tibshirani, "An Introduction to the Bootstrap", 1993, chapter 13.
+fn bootstrapped_mean(values: &[f64]) -> Option<[f64; 3]> {
+    if values.len() < 2 {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let count = values.len() as f64;
+    let mut drawn =
+        || (0..values.len()).map(|_| values[rng.random_range(..values.len())]).sum::<f64>() / count;
+    let mut means: Vec<f64> = (0..RESAMPLES).map(|_| drawn()).collect();
+    means.sort_by(f64::total_cmp);
+    let at = |share: f64| means[((RESAMPLES - 1) as f64 * share).round() as usize];
+    Some([values.iter().sum::<f64>() / count, at(0.025), at(0.975)])
 }
 
 /// Least, median and greatest value of each figure, and how often it is as required.
@@ -446,6 +510,19 @@ mod tests {
             assert!((a - low).abs() < 1e-4 && (b - high).abs() < 1e-4, "{held} of {runs}: {a} {b}");
         }
         assert_eq!(Rate::of(0, 0).interval, [0.0, 1.0]);
+    }
+
+    #[test]
+    fn the_mean_of_a_normal_sample_has_about_the_interval_of_students_t() {
+        // The differences of Student's sleep data (Biometrika 6, 1908): mean 1.58; 95 % interval by t 0.70 to 2.46, by the bootstrap narrower.
+        let values = [1.2, 2.4, 1.3, 1.3, 0.0, 1.0, 1.8, 0.8, 4.6, 1.4];
+        let [mean, low, high] = bootstrapped_mean(&values).expect("there are ten");
+        assert!(
+            (mean - 1.58).abs() < 1e-9 && (0.7..1.1).contains(&low) && (2.1..2.5).contains(&high),
+            "{low} to {high}"
+        );
+        assert_eq!(bootstrapped_mean(&[1.0]), None);
+        assert_eq!(bootstrapped_mean(&[2.0; 5]), Some([2.0; 3]));
     }
 
     #[test]

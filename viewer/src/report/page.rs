@@ -116,7 +116,8 @@ fn header(title: &str, data: &ReportData) -> String {
 }
 
 fn failure(data: &ReportData) -> String {
-    if data.outcome == "success" {
+    // A page about many runs has neither.
+    if data.outcome == "success" || data.reason.is_none() && data.failure_chain.is_empty() {
         return String::new();
     }
     let reason = data.reason.as_deref().unwrap_or("No reason was given.");
