@@ -399,6 +399,8 @@ pub fn write_page(config: &SweepConfig, runs: &[SweptRun], folder: &Path) -> Res
         title: config.chart.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
         subtitle: format!("{count} runs: armarium run {}", config.arguments.join(" ")),
         outcome: if held == count { "success".into() } else { format!("{held} of {count}") },
+        reason: (held < count)
+            .then(|| format!("{} of {count} do not hold; a table below says why.", count - held)),
         facts: vec![
             ("held".into(), format!("{held} of {count}")),
             ("95 % interval".into(), format!("{} to {}", percent(interval[0]), percent(interval[1]))),
