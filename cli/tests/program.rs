@@ -219,6 +219,11 @@ fn a_sweep_runs_each_seed_and_value_once_and_says_how_many_held() {
     assert_eq!(status(&other), 2);
     assert!(said(&other).contains("holds another sweep"), "{}", said(&other));
 
+    let wrong = ["sweep", "wait.yaml", "--seeds", "1..3", "--set", "long=maybe", "--out", "wrong"];
+    let ended = armarium(folder.path(), &wrong);
+    assert_eq!(status(&ended), 2, "{}", said(&ended));
+    assert!(said(&ended).contains("--set long=maybe") && !said(&ended).contains("[1/3]"), "{}", said(&ended));
+
     let bounded = ["sweep", "wait.yaml", "--seeds", "1", "--for", "500ms", "--out", "short", "--json"];
     let output = armarium(folder.path(), &bounded);
     let last = said(&output).lines().last().map(str::to_owned).expect("a line with the rates");

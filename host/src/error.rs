@@ -101,6 +101,12 @@ pub enum HostError {
         /// The folder.
         path: PathBuf,
     },
+    /// The first run of a sweep with some inputs refused its files or arguments.
+    #[error("the first run cannot begin, and the sweep ends: {said}")]
+    Refused {
+        /// What it said.
+        said: String,
+    },
     /// Another run writes to the folder.
     #[error("another run writes its report to `{path}`: wait for its end, or give another --report")]
     ReportInUse {

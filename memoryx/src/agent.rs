@@ -12,6 +12,7 @@ use armarium_bus::Session;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::JoinSet;
 
+use crate::awaited_thread::AwaitedThread;
 use crate::error::MemoryError;
 use crate::infer::{Inference, RunningInference};
 use crate::prior::PriorKnowledge;
@@ -20,7 +21,7 @@ use crate::remote::RemoteMemory;
 use crate::server::{MemoryServer, ServerOptions};
 use crate::share::{FollowSettings, Following};
 use crate::store::{Consolidator, Dropped, LongTermMemory, Policies, Policy, Retention};
-use crate::working::{AwaitedThread, Backing, Clock, MemoryLimits, WorkingMemory};
+use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
 
 /// How often snapshots are stored that a policy has held back for long enough.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(5);

@@ -16,6 +16,7 @@
 
 mod agent;
 mod attributes;
+mod awaited_thread;
 mod changes;
 mod checked_query;
 mod entity;

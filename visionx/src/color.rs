@@ -71,9 +71,9 @@ impl ColorModel {
     }
 
     /// As [`learned`](Self::learned), by those of the pixels that have nearly the hue of most of them: some may be of another thing.
-    pub(crate) fn learned_from_most(&self, pixels: &[[u8; 3]]) -> Self {
-        let most = Self { tangent: libm::tanf(NEAR_HUE), ..Self::from_rgb(median_color(pixels)) };
-        self.learned(pixels.iter().copied().filter(|pixel| most.accepts(*pixel)))
+    pub(crate) fn learned_from_most(&self, pixels: impl Iterator<Item = [u8; 3]> + Clone) -> Self {
+        let most = Self { tangent: libm::tanf(NEAR_HUE), ..Self::from_rgb(median_color(pixels.clone())) };
+        self.learned(pixels.filter(|pixel| most.accepts(*pixel)))
     }
 
     /// The angle between a colour (RGB, any length) and the reference, rad; a right angle for black.
@@ -125,15 +125,18 @@ impl ColorModel {
     }
 }
 
-/// The median of each channel.
-pub(crate) fn median_color(colors: &[[u8; 3]]) -> [u8; 3] {
-    [0, 1, 2].map(|channel| {
-        let mut histogram = [0u32; 256];
-        colors.iter().for_each(|color| histogram[usize::from(color[channel])] += 1);
+/// The median of each channel; black of none.
+pub(crate) fn median_color(colors: impl Iterator<Item = [u8; 3]>) -> [u8; 3] {
+    let (mut histograms, mut count) = ([[0u32; 256]; 3], 0);
+    for color in colors {
+        histograms.iter_mut().zip(color).for_each(|(histogram, value)| histogram[usize::from(value)] += 1);
+        count += 1;
+    }
+    histograms.map(|histogram| {
         let mut sum = 0;
         let middle = histogram.iter().position(|n| {
             sum += n;
-            2 * sum as usize >= colors.len()
+            2 * sum >= count
         });
         middle.unwrap_or(0) as u8
     })
@@ -197,6 +200,16 @@ mod tests {
         assert!(model.accepts(similar) && !learned.accepts(similar));
         assert!((50..=100).all(|percent| learned.accepts(shaded(tool, f64::from(percent) / 100.0))));
         assert_eq!(model.learned(std::iter::empty()), model);
+    }
+
+    #[test]
+    fn what_most_pixels_show_is_learned_and_not_what_some_do() {
+        let (tray, arm) = ([39, 86, 192], [38, 52, 100]);
+        let seen = || std::iter::repeat_n(tray, 85).chain(std::iter::repeat_n(arm, 15));
+        let model = ColorModel::from_rgb([40, 90, 200]);
+        assert!(model.learned(seen()).accepts(arm));
+        let learned = model.learned_from_most(seen());
+        assert!(learned.accepts(tray) && !learned.accepts(arm));
     }
 
     #[test]

@@ -7,10 +7,10 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::{Arc, mpsc};
-use std::thread::JoinHandle;
 
 use super::content::{Content, Usage, bytes_of, owner};
 use super::{CommitResult, Core};
+use crate::awaited_thread::AwaitedThread;
 use crate::changes::PublishedSnapshot;
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
@@ -33,30 +33,6 @@ pub(super) struct Request {
 
 /// Takes the result of a request.
 pub(super) type Answer = Box<dyn FnOnce(CommitResult) + Send>;
-
-/// A thread for whose end whoever drops this waits.
-pub(crate) struct AwaitedThread(Option<JoinHandle<()>>);
-
-impl AwaitedThread {
-    /// Starts a thread. `missing`: what is said where there is none.
-    pub(crate) fn start(
-        name: &str,
-        missing: &str,
-        work: impl FnOnce() + Send + 'static,
-    ) -> Result<Self, MemoryError> {
-        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
-        let thread = thread.map_err(|e| MemoryError::Store { what: format!("{missing}: {e}") })?;
-        Ok(Self(Some(thread)))
-    }
-}
-
-impl Drop for AwaitedThread {
-    fn drop(&mut self) {
-        if let Some(thread) = self.0.take() {
-            let _ = thread.join();
-        }
-    }
-}
 
 /// The thread that commits for a memory with a backing. Dropping it waits until it has answered everything.
 pub(super) struct CommittingThread {

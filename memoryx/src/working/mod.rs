@@ -31,7 +31,6 @@ mod content;
 mod index;
 mod merged_view;
 
-pub(crate) use committing::AwaitedThread;
 use committing::{CommittingThread, Request, WriterState};
 use content::Content;
 use merged_view::MergedView;

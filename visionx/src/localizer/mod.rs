@@ -4,7 +4,10 @@
 //! into both images and its x, y, z and yaw are searched: all yaws coarsely, the best ones by a simplex, then
 //! Gauss-Newton on the distances of the coloured region's border from the silhouette. Pixels inside the silhouette that
 //! have the surroundings' colour contradict a pose. Pixels of any other colour may belong to something in front of the
-//! box; they only lower the visible fraction. Roll and pitch are those of the surface, which is level where nothing else is said.
+//! box; they only lower the visible fraction. Roll and pitch are those of the surface, which is level where nothing else is
+//! said. What the images show of the box's colour is in [`eye`].
+
+mod eye;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -14,12 +17,12 @@ use nalgebra::{
 };
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::color::{ColorModel, median_color};
-use crate::components::{Component, components, fill_holes};
-use crate::frame::{RgbImage, StereoFrame};
-use crate::mask::Mask;
+use crate::color::ColorModel;
+use crate::components::Component;
+use crate::frame::StereoFrame;
 use crate::minimize::simplex;
-use crate::outline::{BorderPoint, ConvexOutline, RowSums, border_points, box_outline};
+use crate::outline::{ConvexOutline, box_outline};
+use eye::{Eye, pieces_like, pieces_of};
 
 /// The located object.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,17 +51,6 @@ pub struct ObjectLocalizer {
 /// x, y, z (m) and yaw (rad) in a frame that is turned as the surface, with the root frame's origin.
 type Pose4 = Vector4<f64>;
 
-/// The observation of a candidate in one image.
-struct Eye {
-    object: RowSums,
-    surroundings: RowSums,
-    /// Pixels of the object's colour.
-    area: f64,
-    /// The border of the coloured region, px.
-    border: Vec<Point2<f64>>,
-    center: Point2<f64>,
-}
-
 /// A pose and the quality of its fit.
 struct PoseFit {
     found: ObjectEstimate,
@@ -71,20 +63,12 @@ struct PoseFit {
     residual_px: f64,
 }
 
-/// Components smaller than this are noise, px.
-const MIN_AREA: u32 = 40;
 /// Coarse yaws over half a turn.
 const YAWS: usize = 24;
 /// Border points farther than this from the outline belong to something else, px.
 const BORDER_REACH_PX: f64 = 2.5;
 /// Border points that are further outside than this share of the outline's size are not of the box.
 const NEAR: f64 = 0.1;
-/// So far outside of its border an object's colour may be mixed with that of its surroundings, px.
-const MIXED_PX: i64 = 3;
-/// A hue that is further than this from another one is certainly another, rad.
-const OTHER_HUE: f64 = 0.2;
-/// Where less than this share of its border is one to the surroundings, these have many colours.
-const LEAST_OWN: f64 = 0.3;
 /// Standard deviation of a border point, px: pixels are 0.29 by themselves.
 const BORDER_SIGMA_PX: f64 = 0.35;
 /// From a fit's information to its covariance, px². The factor was measured on rendered scenes: errors of neighbouring border points are
@@ -134,13 +118,15 @@ impl ObjectLocalizer {
         }
         let surface_from_left = self.surface.inverse() * frame.root_from_left;
         let mut best: Option<PoseFit> = None;
-        for shown in components(&self.color.segment(&frame.left), MIN_AREA).iter().take(4) {
-            let [left, right] = self.pieces_like(shown, frame);
+        for shown in pieces_of(&self.color, &frame.left).iter().take(4) {
+            let [left, right] = pieces_like(&self.color, shown, frame);
             let Some(l) = left.first() else { continue };
             for r in right.iter().take(4) {
                 let Some(start) = self.start(l, r, &surface_from_left) else { continue };
-                let eyes =
-                    [self.eye(l, &left, &frame.left, start.1), self.eye(r, &right, &frame.right, start.1)];
+                let eyes = [
+                    Eye::of(&self.color, l, &left, &frame.left, start.1),
+                    Eye::of(&self.color, r, &right, &frame.right, start.1),
+                ];
                 let fit = self.fit(&eyes, &start.0, &surface_from_left).filter(PoseFit::convinces);
                 let better = |fit: &PoseFit| best.as_ref().is_none_or(|best| fit.quality() > best.quality());
                 best = fit.filter(better).or(best);
@@ -156,14 +142,13 @@ impl ObjectLocalizer {
         if !self.calibration.fits(frame) {
             return None;
         }
-        let [left, right] =
-            self.pieces_like(components(&self.color.segment(&frame.left), MIN_AREA).first()?, frame);
+        let [left, right] = pieces_like(&self.color, pieces_of(&self.color, &frame.left).first()?, frame);
         let left_from_root = frame.root_from_left.inverse();
         let away = (left_from_root * expected).translation.vector.z.max(0.1);
         let radius_px = 0.5 * self.size.norm() * self.calibration.camera.focal / away;
         let eyes = [
-            self.eye(left.first()?, &left, &frame.left, radius_px),
-            self.eye(right.first()?, &right, &frame.right, radius_px),
+            Eye::of(&self.color, left.first()?, &left, &frame.left, radius_px),
+            Eye::of(&self.color, right.first()?, &right, &frame.right, radius_px),
         ];
         self.tilted(&eyes, expected, TILT_SIGMA, &left_from_root)
             .filter(PoseFit::convinces)
@@ -187,19 +172,6 @@ impl ObjectLocalizer {
         let covariance = information.try_inverse().map_or(Matrix6::identity(), |i| i * BORDER_VARIANCE);
         let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         self.judge((pose(&by), covariance), &outlines(&by)?, eyes)
-    }
-
-    /// The components of both images that have the colour of one of the left image as it is seen there, the one at its place first, then the largest. What has a
-    /// similar colour, as the robot's own arms may have, is not taken for a part of it.
-    fn pieces_like(&self, shown: &Component, frame: &StereoFrame) -> [Vec<Component>; 2] {
-        let color = self.color.learned_from_most(&shown.colors(&frame.left).collect::<Vec<_>>());
-        let [mut left, right] =
-            [&frame.left, &frame.right].map(|image| components(&color.segment(image), MIN_AREA));
-        let away = |piece: &Component| (piece.centroid - shown.centroid).norm();
-        if let Some(at) = (0..left.len()).min_by(|a, b| away(&left[*a]).total_cmp(&away(&left[*b]))) {
-            left[..=at].rotate_right(1);
-        }
-        [left, right]
     }
 
     /// The position (frame of the surface, m) of a pair of components, and the box's largest radius there, px.
@@ -232,22 +204,6 @@ impl ObjectLocalizer {
         };
         let disparity = f64::from(in_left) - f64::from(in_right);
         Point2::new(l.centroid.x - disparity, (l.centroid.y + r.centroid.y) / 2.0)
-    }
-
-    /// The observation around a component: the component with the pieces near it, and the surroundings.
-    fn eye(&self, seed: &Component, all: &[Component], image: &RgbImage, radius_px: f64) -> Eye {
-        let (w, h) = (image.width(), image.height());
-        let border = (radius_px * 1.2).min(400.0) as u32 + 4;
-        let mut object = seed.mask(border, w, h);
-        for piece in all.iter().filter(|c| (c.centroid - seed.centroid).norm() < 1.2 * radius_px) {
-            object.add(&piece.runs);
-        }
-        let (surroundings, area) = (RowSums::of(&surroundings(image, &object)), object.count() as f64);
-        let sums = RowSums::of(&object);
-        // What is inside, pixels of noise or things that stand on it, is no border of it.
-        fill_holes(&mut object, u32::MAX);
-        let border = own_border(&border_points(&object, w, h), &self.color, image);
-        Eye { area, border, center: seed.centroid, surroundings, object: sums }
     }
 
     fn fit(
@@ -401,21 +357,6 @@ impl PoseFit {
     }
 }
 
-/// The border of an object of this colour to what is around most of it, without that to what hides it. All of it where that is nearly all,
-/// as where the surroundings have many colours.
-fn own_border(border: &[BorderPoint], color: &ColorModel, image: &RgbImage) -> Vec<Point2<f64>> {
-    let outside: Vec<[u8; 3]> = border.iter().map(|point| point.outside(image, MIXED_PX)).collect();
-    // Where what is beside it is nearly of its hue, its border is not sure.
-    let other = |pixel: &&[u8; 3]| color.angle(pixel.map(f64::from)) > OTHER_HUE;
-    let around =
-        ColorModel::from_rgb(median_color(&outside.iter().filter(other).copied().collect::<Vec<_>>()));
-    let own = |(_, pixel): &(&BorderPoint, &[u8; 3])| around.accepts(**pixel);
-    let found: Vec<Point2<f64>> =
-        border.iter().zip(&outside).filter(own).map(|(point, _)| point.at).collect();
-    let is_enough = found.len() as f64 > LEAST_OWN * border.len() as f64;
-    if is_enough { found } else { border.iter().map(|point| point.at).collect() }
-}
-
 /// A pose that is moved and turned about its origin by this, m and rad, root frame.
 fn moved(pose: &Isometry3<f64>, by: &Vector6<f64>) -> Isometry3<f64> {
     let place = pose.translation.vector + by.fixed_rows::<3>(0);
@@ -455,199 +396,5 @@ fn silhouette_cost(outlines: &[ConvexOutline; 2], eyes: &[Eye; 2], camera: &Pinh
     cost
 }
 
-/// The pixels with the surroundings' colour: the median colour of the mask's region without the object.
-fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
-    let region = object.region();
-    let outside = region.pixels().zip(object.data()).filter(|(_, bit)| **bit == 0);
-    let colors: Vec<[u8; 3]> = outside.map(|((x, y), _)| image.pixel(x, y)).collect();
-    let mut mask = ColorModel::from_rgb(median_color(&colors)).segment_region(image, region);
-    for (m, o) in mask.data_mut().iter_mut().zip(object.data()) {
-        *m &= 1 - o;
-    }
-    mask
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, table};
-
-    const YELLOW: [u8; 3] = [240, 210, 40];
-    const SIZE: Vector3<f64> = Vector3::new(0.10, 0.07, 0.04);
-
-    fn block(x: f64, y: f64, yaw: f64, size: Vector3<f64>) -> Thing {
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-        let at = Translation3::new(x, y, 0.90 + size.z / 2.0);
-        Thing::Block { root_from_block: Isometry3::from_parts(at, rotation), size, color: YELLOW }
-    }
-
-    fn localizer() -> ObjectLocalizer {
-        ObjectLocalizer::new(CALIBRATION, SIZE, YELLOW)
-    }
-
-    fn errors(estimate: &ObjectEstimate, x: f64, y: f64, yaw: f64) -> (f64, f64) {
-        let at = estimate.root_from_object.translation.vector - Vector3::new(x, y, 0.92);
-        let turn = estimate.root_from_object.rotation.euler_angles().2;
-        (at.norm(), half_turn(turn - yaw).abs())
-    }
-
-    #[test]
-    fn finds_place_and_yaw() {
-        for (i, (x, y, yaw)) in
-            [(0.3, 0.5, 0.3), (0.1, 0.6, -1.2), (0.4, 0.45, 1.5), (0.2, 0.65, 0.0)].iter().enumerate()
-        {
-            let scene = [table(TABLE), block(*x, *y, *yaw, SIZE)];
-            let estimate = localizer().localize(&frame(&scene, 7, i as u64)).unwrap();
-            let (place, turn) = errors(&estimate, *x, *y, *yaw);
-            assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad, {estimate:?}");
-            assert!(estimate.visible > 0.95);
-        }
-    }
-
-    #[test]
-    fn on_a_tilted_surface_the_box_is_tilted() {
-        let tilt = UnitQuaternion::from_euler_angles(0.15, -0.15, 0.0);
-        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.4);
-        let root_from_block = Isometry3::from_parts(Translation3::new(0.3, 0.5, 0.95), tilt * turned);
-        let block = Thing::Block { root_from_block, size: SIZE, color: YELLOW };
-        let frame = frame(&[block], 0, 3);
-        let found = localizer().standing_on(tilt).localize(&frame).unwrap().root_from_object;
-        let off = found.inverse() * root_from_block;
-        assert!(off.translation.vector.norm() < 0.004, "{off}");
-        assert!(off.rotation.angle().min(PI - off.rotation.angle()) < 0.03, "{off}");
-    }
-
-    #[test]
-    fn a_box_that_the_pictures_cut_off_is_followed_with_its_tilt() {
-        let size = Vector3::new(0.7, 0.3, 0.03);
-        let localizer = ObjectLocalizer::new(CALIBRATION, size, YELLOW);
-        for (x, yaw, tilt) in [(-0.2, 0.1, [0.02, -0.03]), (0.95, -0.15, [-0.03, 0.02])] {
-            let tilt = UnitQuaternion::from_euler_angles(tilt[0], tilt[1], 0.0);
-            let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-            let root_from_block = Isometry3::from_parts(Translation3::new(x, 0.55, 0.93), tilt * turned);
-            let scene = [table(TABLE), Thing::Block { root_from_block, size, color: YELLOW }];
-            let frame = frame(&scene, 0, 4);
-            let expected = Isometry3::new(Vector3::new(x + 0.015, 0.54, 0.93), Vector3::z() * (yaw + 0.03));
-            // From frame to frame its tilt is found.
-            let follow = |at: Isometry3<f64>, _| localizer.follow(&frame, &at).unwrap().root_from_object;
-            let expected = (0..4).fold(expected, follow);
-            let found = localizer.follow(&frame, &expected).unwrap();
-            assert!(found.visible < 0.85, "{}", found.visible);
-            let off = root_from_block.inverse() * found.root_from_object;
-            assert!(off.translation.vector.norm() < 0.004 && off.rotation.angle() < 0.01, "{x}: {off}");
-            // It is found without an expectation, too.
-            let found = localizer.clone().standing_on(tilt).localize(&frame).unwrap().root_from_object;
-            assert!((found.inverse() * root_from_block).translation.vector.norm() < 0.004, "{x}: {found}");
-            let far = Translation3::new(0.0, 0.3, 0.0) * root_from_block;
-            assert_eq!(localizer.follow(&frame, &far), None);
-        }
-    }
-
-    #[test]
-    fn a_part_of_the_robot_before_it_is_no_part_of_it() {
-        let (size, blue) = (Vector3::new(0.7, 0.3, 0.03), [40, 90, 200]);
-        let localizer = ObjectLocalizer::new(CALIBRATION, size, blue);
-        let at = Isometry3::new(Vector3::new(0.28, 0.55, 0.915), Vector3::z() * 0.05);
-        let tray = Thing::Block { root_from_block: at, size, color: blue };
-        let chest = Thing::Block {
-            root_from_block: Isometry3::new(Vector3::new(0.2, 0.38, 1.0), Vector3::z() * 0.05),
-            size: Vector3::new(1.2, 0.08, 0.08),
-            color: [38, 52, 100],
-        };
-        let frame = frame(&[table(TABLE), tray, chest], 0, 3);
-        let followed = |at: Isometry3<f64>, _| localizer.follow(&frame, &at).unwrap().root_from_object;
-        let off = at.inverse() * (0..6).fold(at, followed);
-        assert!(off.translation.vector.norm() < 0.002, "{off}");
-    }
-
-    #[test]
-    fn where_a_hand_covers_its_end_its_border_is_not_the_hands() {
-        let size = Vector3::new(0.7, 0.3, 0.03);
-        let localizer = ObjectLocalizer::new(CALIBRATION, size, YELLOW);
-        let at = Isometry3::new(Vector3::new(0.0, 0.55, 0.915), Vector3::z() * 0.1);
-        let tray = Thing::Block { root_from_block: at, size, color: YELLOW };
-        // Its left end is out of view; the hand covers all of the right one but a corner.
-        let hand = Thing::Block {
-            root_from_block: Isometry3::new(Vector3::new(0.38, 0.53, 1.0), Vector3::z() * 0.2),
-            size: Vector3::new(0.15, 0.2, 0.08),
-            color: [70, 70, 74],
-        };
-        let frame = frame(&[table(TABLE), tray, hand], 0, 4);
-        let followed = |at: Isometry3<f64>, _| localizer.follow(&frame, &at).unwrap().root_from_object;
-        let off = at.inverse() * (0..6).fold(at, followed);
-        assert!(off.translation.vector.norm() < 0.002, "{off}");
-    }
-
-    #[test]
-    fn a_darker_thing_of_its_hue_beside_it_is_no_part_of_it() {
-        let arm = Thing::Block {
-            root_from_block: Isometry3::translation(0.3, 0.33, 1.0),
-            size: Vector3::new(0.5, 0.12, 0.1),
-            color: [66, 58, 11],
-        };
-        let scene = [table(TABLE), block(0.3, 0.5, 0.3, SIZE), arm];
-        let found = localizer().localize(&frame(&scene, 0, 2)).unwrap();
-        let (place, turn) = errors(&found, 0.3, 0.5, 0.3);
-        assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad");
-    }
-
-    #[test]
-    fn a_dark_thing_whose_hue_is_noise_is_no_part_of_it() {
-        let (size, blue) = (Vector3::new(0.7, 0.3, 0.03), [40, 90, 200]);
-        let localizer = ObjectLocalizer::new(CALIBRATION, size, blue);
-        let at = Isometry3::new(Vector3::new(0.28, 0.55, 0.915), Vector3::z() * 0.05);
-        let tray = Thing::Block { root_from_block: at, size, color: blue };
-        let chest = Thing::Block {
-            root_from_block: Isometry3::translation(0.1, 0.3, 1.0),
-            size: Vector3::new(0.3, 0.02, 0.02),
-            color: [20, 27, 52],
-        };
-        let found = localizer.localize(&frame(&[table(TABLE), tray, chest], 0, 3)).unwrap();
-        let off = at.inverse() * found.root_from_object;
-        assert!(off.translation.vector.norm() < 0.004, "{off}");
-    }
-
-    #[test]
-    fn partly_covered_it_is_less_sure_and_still_right() {
-        let free = [table(TABLE), block(0.3, 0.5, 0.4, SIZE)];
-        let cover = Thing::Block {
-            root_from_block: Isometry3::translation(0.32, 0.47, 1.0),
-            size: Vector3::new(0.08, 0.3, 0.03),
-            color: [110, 112, 118],
-        };
-        let covered = [free[0].clone(), free[1].clone(), cover];
-        let [a, b] =
-            [&free[..], &covered[..]].map(|scene| localizer().localize(&frame(scene, 0, 5)).unwrap());
-        assert!(b.visible < 0.9 && b.visible > 0.3, "{}", b.visible);
-        assert!(b.covariance.trace() > 1.5 * a.covariance.trace());
-        let (place, turn) = errors(&b, 0.3, 0.5, 0.4);
-        assert!(place < 0.01 && turn < 0.06, "{place} {turn}");
-    }
-
-    #[test]
-    fn other_things_of_its_colour_are_not_it() {
-        let others = [
-            block(0.3, 0.5, 0.4, Vector3::new(0.2, 0.14, 0.08)),
-            block(0.3, 0.5, 0.4, Vector3::new(0.05, 0.035, 0.02)),
-            block(0.3, 0.5, 0.4, Vector3::new(0.25, 0.03, 0.03)),
-            Thing::Ball { center: Point3::new(0.3, 0.5, 0.95), radius: 0.05, color: YELLOW },
-        ];
-        for (i, other) in others.into_iter().enumerate() {
-            let found = localizer().localize(&frame(&[table(TABLE), other.clone()], 0, 1));
-            assert_eq!(found, None, "{i}");
-            let scene = [table(TABLE), other, block(0.05, 0.6, 0.4, SIZE)];
-            let found = localizer().localize(&frame(&scene, 0, 1)).unwrap();
-            assert!(errors(&found, 0.05, 0.6, 0.4).0 < 0.005);
-        }
-    }
-
-    #[test]
-    fn nothing_is_found_where_nothing_is() {
-        for frame in empty_frames() {
-            assert_eq!(localizer().localize(&frame), None);
-        }
-        let nonsense = ObjectLocalizer::new(CALIBRATION, Vector3::repeat(f64::NAN), YELLOW);
-        let scene = [table(TABLE), block(0.3, 0.5, 0.3, SIZE)];
-        assert_eq!(nonsense.localize(&frame(&scene, 0, 0)), None);
-    }
-}
+mod tests;

@@ -3,29 +3,25 @@
 //!
 //! It knows no figure by its name: a run says what it measured and what is asked of it.
 
+mod page;
+
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use armarium_values::report::{Block, Cell, Column, Figure, Section, Table};
-use armarium_viewer::report::{self, ReportData};
+use armarium_values::report::Figure;
 use parking_lot::Mutex;
-use rand::{RngExt as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use crate::error::HostError;
 
+pub use page::write_page;
+
 /// The file of a sweep's folder that has a line for each run.
 const RUNS: &str = "sweep.jsonl";
-const PAGE: &str = "sweep.html";
-/// Runs whose reports the page names, of those that did not hold or came closest to that.
-const WORST: usize = 10;
-/// How often a mean is drawn anew for its interval.
-const RESAMPLES: usize = 2000;
 /// The quantile of the normal distribution for 95 %.
 const Z: f64 = 1.959_964;
 
@@ -110,15 +106,16 @@ struct RunningSweep {
     waiting: std::vec::IntoIter<Choice>,
     runs: Vec<SweptRun>,
     log: File,
-    /// Why runs cannot be written down any more.
-    failed: Option<std::io::Error>,
+    /// Why it does not go on.
+    failed: Option<HostError>,
 }
 
 /// Runs what is missing in `folder`, `jobs` at a time, with the program `armarium`. `ended` is called after each run with it, how
 /// many have ended, and how many there are. Returns all runs, in the order of inputs and seeds.
 ///
 /// # Errors
-/// [`HostError::File`] when the folder cannot be used, [`HostError::OtherSweep`] when it holds another sweep.
+/// [`HostError::File`] when the folder cannot be used, [`HostError::OtherSweep`] when it holds another sweep, [`HostError::Refused`] when the
+/// first run with some inputs cannot begin because of a wrong file or argument: the others would not, either.
 pub fn sweep(
     config: &SweepConfig,
     (program, folder, jobs): (&Path, &Path, usize),
@@ -140,13 +137,19 @@ pub fn sweep(
     };
     let work = || {
         while let Some(choice) = next() {
-            let run = one(config, (program, folder), choice);
+            let (run, refused) = one(config, (program, folder), choice);
             let count = {
                 let mut progress = progress.lock();
+                if let Some(said) =
+                    refused.filter(|_| progress.runs.iter().all(|known| known.inputs != run.inputs))
+                {
+                    progress.failed = Some(HostError::Refused { said });
+                    return;
+                }
                 let line = serde_json::to_string(&run).unwrap_or_default() + "\n";
                 let written = progress.log.write_all(line.as_bytes()).and_then(|()| progress.log.sync_data());
                 if let Err(error) = written {
-                    progress.failed = Some(error);
+                    progress.failed = Some(file_error(&path, error));
                     return;
                 }
                 progress.runs.push(run.clone());
@@ -162,7 +165,7 @@ pub fn sweep(
     });
     let RunningSweep { runs, failed, .. } = progress.into_inner();
     match failed {
-        Some(error) => Err(file_error(&path, error)),
+        Some(error) => Err(error),
         None => Ok(choices.iter().filter_map(|choice| find(&runs, choice)).collect()),
     }
 }
@@ -227,8 +230,12 @@ fn files(config: &SweepConfig) -> impl Iterator<Item = (String, String)> {
     })
 }
 
-/// One run, in a process of its own.
-fn one(config: &SweepConfig, (program, folder): (&Path, &Path), (seed, inputs): Choice) -> SweptRun {
+/// One run, in a process of its own; and what that said if it refused its files or arguments.
+fn one(
+    config: &SweepConfig,
+    (program, folder): (&Path, &Path),
+    (seed, inputs): Choice,
+) -> (SweptRun, Option<String>) {
     let inside = folder_of(seed, &inputs);
     let report = folder.join(&inside);
     // Runs at the same time do not share what they learn, and one that is run again begins anew.
@@ -241,11 +248,11 @@ fn one(config: &SweepConfig, (program, folder): (&Path, &Path), (seed, inputs): 
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn(),
     });
-    let Ended { outcome, reason, figures } = match begun {
+    let Ended { outcome, reason, figures, refused } = match begun {
         Ok(child) => wait_for(child),
         Err(error) => Ended::error(format!("`{}` cannot be started: {error}", program.display())),
     };
-    SweptRun { seed, inputs, outcome, reason, figures, folder: inside }
+    (SweptRun { seed, inputs, outcome, reason, figures, folder: inside }, refused)
 }
 
 /// The name of the folder of a run's report.
@@ -264,11 +271,17 @@ struct Ended {
     outcome: String,
     reason: Option<String>,
     figures: Vec<Figure>,
+    /// What it said, of one that refused its files or arguments.
+    #[serde(skip)]
+    refused: Option<String>,
 }
+
+/// The exit status of `armarium run` where a file or argument is wrong.
+const REFUSED: i32 = 2;
 
 impl Ended {
     fn error(reason: String) -> Self {
-        Self { outcome: "error".into(), reason: Some(reason), figures: Vec::new() }
+        Self { outcome: "error".into(), reason: Some(reason), figures: Vec::new(), refused: None }
     }
 }
 
@@ -289,8 +302,10 @@ fn wait_for(mut child: Child) -> Ended {
     });
     let status = child.wait();
     serde_json::from_str(&last).unwrap_or_else(|_| {
+        let refused =
+            status.as_ref().is_ok_and(|status| status.code() == Some(REFUSED)).then(|| errors.clone());
         let status = status.map_or_else(|error| error.to_string(), |status| status.to_string());
-        Ended::error(format!("{status}: {errors}"))
+        Ended { refused, ..Ended::error(format!("{status}: {errors}")) }
     })
 }
 
@@ -313,180 +328,6 @@ pub fn groups(runs: &[SweptRun]) -> Vec<(String, Vec<&SweptRun>)> {
 #[must_use]
 pub fn rate(runs: &[&SweptRun]) -> Rate {
     Rate::of(runs.iter().filter(|run| run.held()).count(), runs.len())
-}
-
-/// Writes the page of a sweep; returns its path.
-///
-/// # Errors
-/// [`HostError::File`].
-pub fn write_page(config: &SweepConfig, runs: &[SweptRun], folder: &Path) -> Result<PathBuf, HostError> {
-    let all: Vec<&SweptRun> = runs.iter().collect();
-    let Rate { held, runs: count, interval } = rate(&all);
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let text = |text: &str| Column { title: text.into(), is_number: false };
-    let number = |text: &str| Column { title: text.into(), is_number: true };
-    let by_inputs = groups(runs);
-    let rates = by_inputs.iter().map(|(name, group)| {
-        let Rate { held, runs, interval } = rate(group);
-        let share = Cell::Text(percent(held as f64 / runs.max(1) as f64));
-        let range = Cell::Text(format!("{} to {}", percent(interval[0]), percent(interval[1])));
-        vec![
-            Cell::Code(name.clone()),
-            Cell::number(held as f64, "", 0),
-            Cell::number(runs as f64, "", 0),
-            share,
-            range,
-        ]
-    });
-    let rates = Table {
-        columns: vec![
-            text("inputs"),
-            number("held"),
-            number("runs"),
-            number("rate"),
-            number("95 % interval"),
-        ],
-        rows: rates.collect(),
-    };
-    let mut worst = all.clone();
-    worst.sort_by_key(|run| (run.outcome == "success", usize::MAX - run.failed_figures().count()));
-    let worst = worst.into_iter().filter(|run| !run.held()).take(WORST).map(|run| {
-        let why = run.failed_figures().map(|figure| {
-            let value = figure.value.map_or("(not measured)".to_owned(), |value| {
-                format!("{value:.*} {}", figure.digits, figure.unit)
-            });
-            format!("{}: {} {value}", figure.group, figure.name)
-        });
-        let why: Vec<String> = run.reason.iter().cloned().chain(why).collect();
-        let inputs =
-            run.inputs.iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join(" ");
-        let link = run.folder.join("report.html").display().to_string();
-        vec![
-            Cell::Link { text: format!("seed {}", run.seed), to: link },
-            Cell::Code(inputs),
-            Cell::Text(run.outcome.clone()),
-            Cell::Text(why.join("; ")),
-        ]
-    });
-    let worst =
-        Table { columns: ["run", "inputs", "outcome", "why"].map(text).into(), rows: worst.collect() };
-    let figures = |runs: &[&SweptRun]| {
-        let titles = ["least", "median", "most", "as required"].map(number);
-        Block::Table(Table {
-            columns: [text("figure")].into_iter().chain(titles).collect(),
-            rows: spread(runs),
-        })
-    };
-    let mut sections = vec![Section::new("Rates", "Wilson's interval.", vec![Block::Table(rates)])];
-    if !worst.rows.is_empty() {
-        sections.push(Section::new("What did not hold", "", vec![Block::Table(worst)]));
-    }
-    for (name, group) in &by_inputs {
-        let title = if name.is_empty() { "Figures".to_owned() } else { format!("Figures with {name}") };
-        sections.push(Section::new(&title, "", vec![figures(group)]));
-    }
-    if let [(reference, first), others @ ..] = by_inputs.as_slice() {
-        for (name, group) in others {
-            let rows = differences(first, group);
-            let columns =
-                [text("figure")].into_iter().chain(["runs", "mean", "95 % interval"].map(number)).collect();
-            let note = "Of the runs with the same seed, for which both have the figure; the interval is bootstrapped over seeds.";
-            let title = format!("What {name} changes against {reference}");
-            sections.push(Section::new(&title, note, vec![Block::Table(Table { columns, rows })]));
-        }
-    }
-    let data = ReportData {
-        title: config.chart.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
-        subtitle: format!("{count} runs: armarium run {}", config.arguments.join(" ")),
-        outcome: if held == count { "success".into() } else { format!("{held} of {count}") },
-        reason: (held < count)
-            .then(|| format!("{} of {count} do not hold; a table below says why.", count - held)),
-        facts: vec![
-            ("held".into(), format!("{held} of {count}")),
-            ("95 % interval".into(), format!("{} to {}", percent(interval[0]), percent(interval[1]))),
-        ],
-        sections,
-        ..ReportData::default()
-    };
-    let page = folder.join(PAGE);
-    std::fs::write(&page, report::render(&data)).map_err(|error| file_error(&page, error))?;
-    Ok(page)
-}
-
-/// How much the figures of the other runs differ from those of the first ones with the same seed: how many do, the mean, and its interval.
-fn differences(first: &[&SweptRun], other: &[&SweptRun]) -> Vec<Vec<Cell>> {
-    let value = |run: &SweptRun, of: &Figure| {
-        run.figures.iter().find(|f| (&f.group, &f.name) == (&of.group, &of.name)).and_then(|f| f.value)
-    };
-    let mut rows = Vec::new();
-    let mut figures: Vec<&Figure> = Vec::new();
-    for figure in first.iter().flat_map(|run| &run.figures) {
-        if !figures.iter().any(|known| (&known.group, &known.name) == (&figure.group, &figure.name)) {
-            figures.push(figure);
-        }
-    }
-    for figure in figures {
-        let pair = |run: &&SweptRun| {
-            let twin = other.iter().find(|twin| twin.seed == run.seed)?;
-            Some(value(twin, figure)? - value(run, figure)?)
-        };
-        let pairs: Vec<f64> = first.iter().filter_map(pair).collect();
-        let Some([mean, low, high]) = bootstrapped_mean(&pairs) else { continue };
-        let (unit, digits) = (&figure.unit, figure.digits);
-        rows.push(vec![
-            Cell::Text(format!("{}: {}", figure.group, figure.name)),
-            Cell::number(pairs.len() as f64, "", 0),
-            Cell::number(mean, unit, digits),
-            Cell::Text(format!("{low:.digits$} to {high:.digits$} {unit}")),
-        ]);
-    }
-    rows
-}
-
-/// The mean of some values, and its 95 % interval by the bootstrap's percentiles; none of fewer than two values.
-///
-/// # Source
-/// Efron and Tibshirani, "An Introduction to the Bootstrap", 1993, chapter 13.
-fn bootstrapped_mean(values: &[f64]) -> Option<[f64; 3]> {
-    if values.len() < 2 {
-        return None;
-    }
-    let mut rng = ChaCha8Rng::seed_from_u64(0);
-    let count = values.len() as f64;
-    let mut drawn =
-        || (0..values.len()).map(|_| values[rng.random_range(..values.len())]).sum::<f64>() / count;
-    let mut means: Vec<f64> = (0..RESAMPLES).map(|_| drawn()).collect();
-    means.sort_by(f64::total_cmp);
-    let at = |share: f64| means[((RESAMPLES - 1) as f64 * share).round() as usize];
-    Some([values.iter().sum::<f64>() / count, at(0.025), at(0.975)])
-}
-
-/// Least, median and greatest value of each figure, and how often it is as required.
-fn spread(runs: &[&SweptRun]) -> Vec<Vec<Cell>> {
-    let mut figures: Vec<(&Figure, Vec<f64>, usize, usize)> = Vec::new();
-    for figure in runs.iter().flat_map(|run| &run.figures) {
-        let known = figures.iter_mut().find(|(f, ..)| (&f.group, &f.name) == (&figure.group, &figure.name));
-        let entry = match known {
-            Some(entry) => entry,
-            None => {
-                figures.push((figure, Vec::new(), 0, 0));
-                figures.last_mut().expect("it was just added")
-            }
-        };
-        entry.1.extend(figure.value);
-        entry.2 += usize::from(figure.passed() == Some(true));
-        entry.3 += usize::from(figure.passed().is_some());
-    }
-    let row = |(figure, mut values, passed, judged): (&Figure, Vec<f64>, usize, usize)| {
-        values.sort_by(f64::total_cmp);
-        let at = |index: usize| {
-            values.get(index).map_or(Cell::Absent, |value| Cell::number(*value, &figure.unit, figure.digits))
-        };
-        let required = if judged == 0 { Cell::Absent } else { Cell::Text(format!("{passed} of {judged}")) };
-        let name = Cell::Text(format!("{}: {}", figure.group, figure.name));
-        vec![name, at(0), at(values.len() / 2), at(values.len().saturating_sub(1)), required]
-    };
-    figures.into_iter().map(row).collect()
 }
 
 #[cfg(test)]
@@ -512,19 +353,6 @@ mod tests {
             assert!((a - low).abs() < 1e-4 && (b - high).abs() < 1e-4, "{held} of {runs}: {a} {b}");
         }
         assert_eq!(Rate::of(0, 0).interval, [0.0, 1.0]);
-    }
-
-    #[test]
-    fn the_mean_of_a_normal_sample_has_about_the_interval_of_students_t() {
-        // The differences of Student's sleep data (Biometrika 6, 1908): mean 1.58; 95 % interval by t 0.70 to 2.46, by the bootstrap narrower.
-        let values = [1.2, 2.4, 1.3, 1.3, 0.0, 1.0, 1.8, 0.8, 4.6, 1.4];
-        let [mean, low, high] = bootstrapped_mean(&values).expect("there are ten");
-        assert!(
-            (mean - 1.58).abs() < 1e-9 && (0.7..1.1).contains(&low) && (2.1..2.5).contains(&high),
-            "{low} to {high}"
-        );
-        assert_eq!(bootstrapped_mean(&[1.0]), None);
-        assert_eq!(bootstrapped_mean(&[2.0; 5]), Some([2.0; 3]));
     }
 
     #[test]
