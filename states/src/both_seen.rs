@@ -9,7 +9,7 @@ use armarium_motion::{CameraMounting, MarkerView, ServoObservation};
 use armarium_robot::{LinkId, Sensed};
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_visionx::{ObjectLocalizer, ObjectStep, Sight, Sighting, StereoStep};
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use tokio::sync::watch;
 
 use crate::arm::{seconds, tcp_of};
@@ -22,7 +22,7 @@ use crate::surface::ContactPlane;
 
 /// Of the thing, as much as this has to be visible: hands and what stands on it cover it.
 const VISIBLE: f64 = 0.35;
-/// Of a hand's marker, as much as this.
+/// Of a hand's marker, as much as this: one that an eye sees less of than the other seems to be further away, by up to 20 mm.
 const MARKER_VISIBLE: f64 = 0.99;
 /// The weight of a new detection.
 const WEIGHT: f64 = 0.3;
@@ -81,7 +81,7 @@ pub(crate) struct BothSeen {
     sight: Option<Sight>,
     mounting: CameraMounting,
     /// Tells who follows the thing how the cameras are mounted.
-    mounting_shown: watch::Sender<Isometry3<f64>>,
+    mounting_told: watch::Sender<Isometry3<f64>>,
     /// The thing's pose (root frame), and when it was seen, ns.
     object: Isometry3<f64>,
     object_at_ns: u64,
@@ -93,8 +93,7 @@ pub(crate) struct BothSeen {
 }
 
 impl BothSeen {
-    /// Of the thing that the input `object` names. The surface on which it stands is taken for level; one that memory shows tilted is what
-    /// the mounting tilts.
+    /// Of the thing that the input `object` names. The surface on which it stands in memory is the first that is seen of the mounting.
     pub(crate) async fn new(
         equipment: &Equipment,
         context: &SkillContext,
@@ -106,8 +105,10 @@ impl BothSeen {
         let sample = equipment.robot.sensed().borrow();
         let left = model.camera().map(|camera| model.link_pose(&sample.position, camera.left));
         let left = left.unwrap_or_default();
-        let up = if looks { surface.normal() } else { Vector3::z_axis() };
-        let mounting = CameraMounting::levelled(&left, &up);
+        let mut mounting = CameraMounting::default();
+        if looks {
+            mounting.see_surface(&left, &surface.normal()).map_err(failed)?;
+        }
         let object = mounting.from_shown(&left) * shown;
         let [first, second] = arms(model)?;
         let grasps: Vec<Isometry3<f64>> = class.grasps.iter().map(|grasp| grasp.pose.isometry()).collect();
@@ -130,8 +131,9 @@ impl BothSeen {
         let hands = [seen_hand(first, one)?, seen_hand(second, other)?];
         let localizer = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
         let localizer = localizer.standing_on(surface.rotation());
-        let mounting_shown = watch::Sender::new(mounting.believed_from_camera());
-        let step = ObjectStep::new(localizer, THING).following(shown, left, mounting_shown.subscribe());
+        let mounting_told = watch::Sender::new(mounting.believed_from_camera());
+        let step = ObjectStep::new(localizer, THING).with_table(equipment.images.calibration().camera);
+        let step = step.following(shown, left, mounting_told.subscribe());
         let mut steps: Vec<Box<dyn StereoStep>> = vec![Box::new(step)];
         for (limb, name) in [first, second].into_iter().zip(HANDS) {
             let marker = marker(model, limb)?;
@@ -141,7 +143,7 @@ impl BothSeen {
             sight: looks.then(|| equipment.look(steps)),
             equipment: equipment.clone(),
             mounting,
-            mounting_shown,
+            mounting_told,
             object,
             object_at_ns: sample.stamp_ns,
             hands,
@@ -174,7 +176,11 @@ impl BothSeen {
         if steady {
             shifts = self.look_for_hands(&frame)?;
         }
-        self.mounting_shown.send_replace(self.mounting.believed_from_camera());
+        if let Some(table) = frame.of_class("table").and_then(seen_pose) {
+            let up = Unit::new_normalize(table.rotation * Vector3::z());
+            self.mounting.see_surface(&frame.root_from_left, &up).map_err(failed)?;
+        }
+        self.mounting_told.send_replace(self.mounting.believed_from_camera());
         let from_shown = self.mounting.from_shown(&frame.root_from_left);
         let object = self.look_for_object(&frame, &from_shown);
         for (i, shift) in shifts.into_iter().enumerate() {
@@ -304,6 +310,11 @@ impl BothSeen {
             (0..=PLACES).map(between).find(shows).unwrap_or(hands[i])
         };
         shown(self.turned_to.map_or(middle, beside))
+    }
+
+    /// The upward normal of the surface on which the thing stands, root frame.
+    pub(crate) fn surface_up(&self) -> Vector3<f64> {
+        self.mounting.surface_up().into_inner()
     }
 
     /// What was not seen for longest.

@@ -83,6 +83,20 @@ fn a_box_is_driven_to_another_table_and_put_down_there() {
 }
 
 #[test]
+fn a_tray_with_a_cup_is_driven_to_another_table_and_put_down_there_though_it_is_shoved() {
+    let ended = carried("carry_tray_far.yaml", 2, |world| world);
+    assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
+    let own = &ended.report["carrying"];
+    let figure = |key: &str| own[key].as_f64().unwrap();
+    assert!(figure("way_m") > 2.5 && figure("held") == 1.0 && figure("mass_error").abs() < 0.05, "{own}");
+    assert!(
+        figure("tilt_deg") < 3.0 && figure("sloshed_deg") < 12.0 && figure("upon_moved_m") < 0.01,
+        "{own}"
+    );
+    assert!(figure("put_down_n") < 15.0 && figure("put_down_moved_m") < 0.005, "{own}");
+}
+
+#[test]
 fn a_box_that_is_too_heavy_to_be_held_is_put_down_before_it_falls() {
     let ended = carried("carry_box.yaml", 1, |world| world.replace("{from: 1 kg, to: 3 kg}", "5.5 kg"));
     assert_eq!(ended.result.outcome, "put_down", "{:?}", ended.result.reason);

@@ -319,11 +319,11 @@ impl StereoStep for MarkerStep {
 
 /// A box of known colour and size, as `ObjectInstances` of its class, with its pose. One that is not seen is not observed.
 ///
-/// Where the frames have depth, the table on which it stands is looked for once, as `EnvironmentModels/.../table`; the box lies
-/// along it. What else is level is not observed.
+/// Where the frames have depth, the table on which it stands is observed, too, as `EnvironmentModels/.../table`: of a box that is followed in
+/// each frame, else once, and the box lies along it from then on. What else is level is not observed.
 pub struct ObjectStep {
     localizer: ObjectLocalizer,
-    /// Finds the table; `None` when it has been looked for.
+    /// Finds the table; `None` when it is not looked for, or no more.
     tables: Option<TabletopSegmentation>,
     /// The box that is followed; none where it is looked for anew in each frame.
     followed: Option<FollowedBox>,
@@ -378,19 +378,28 @@ impl ObjectStep {
         Self { followed: Some(FollowedBox { shown, root_from_left, mounting }), ..self }
     }
 
-    /// The table under the box, once a box has been found.
-    fn table(&mut self, frame: &StereoFrame) -> Option<Observation> {
+    /// The table under the box, once a box has been found; the box lies along it.
+    fn table_at_first(&mut self, frame: &StereoFrame) -> Option<TableEstimate> {
         let first = self.tables.as_ref().and_then(|_| self.localizer.localize(frame))?;
-        let Tabletop { table, .. } = self.tables.take()?.segment(frame)?;
-        let middle = Point3::from(first.root_from_object.translation.vector);
-        let above = (table.root_from_table.inverse() * middle).z;
-        if (above - self.localizer.height() / 2.0).abs() > STANDS {
-            return None;
-        }
+        let tables = self.tables.take()?;
+        let table = self.table_under(&tables, frame, &first)?;
         let normal = Unit::new_normalize(table.root_from_table * Vector3::z());
         let tilt = UnitQuaternion::rotation_between_axis(&Vector3::z_axis(), &normal)?;
         self.localizer = self.localizer.clone().standing_on(tilt);
-        Some(table_seen(&table, frame.stamp_ns))
+        Some(table)
+    }
+
+    /// The table on which a box stands.
+    fn table_under(
+        &self,
+        tables: &TabletopSegmentation,
+        frame: &StereoFrame,
+        object: &ObjectEstimate,
+    ) -> Option<TableEstimate> {
+        let Tabletop { table, .. } = tables.segment(frame)?;
+        let middle = Point3::from(object.root_from_object.translation.vector);
+        let above = (table.root_from_table.inverse() * middle).z;
+        ((above - self.localizer.height() / 2.0).abs() <= STANDS).then_some(table)
     }
 }
 
@@ -408,7 +417,7 @@ impl StereoStep for ObjectStep {
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
-        let table = self.table(frame);
+        let first = if self.followed.is_none() { self.table_at_first(frame) } else { None };
         self.last = match &self.followed {
             None => self.localizer.localize(frame),
             Some(followed) => {
@@ -425,6 +434,8 @@ impl StereoStep for ObjectStep {
             posed((OBJECTS, &self.class), frame.stamp_ns, &object.root_from_object, &object.covariance)
                 .with_confidence(object.visible)
         };
+        let table = first.or_else(|| self.table_under(self.tables.as_ref()?, frame, self.last.as_ref()?));
+        let table = table.map(|table| table_seen(&table, frame.stamp_ns));
         table.into_iter().chain(self.last.as_ref().map(seen)).collect()
     }
 

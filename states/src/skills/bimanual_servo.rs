@@ -58,6 +58,11 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
             Type::quantity(Unit::M),
             "The larger distance of a hand from its grasp, as seen.",
         )
+        .output(
+            "up",
+            Type::list(Type::FLOAT),
+            "The upward normal of the surface on which the thing stands, root frame: what turns of the head tell of it, or else level.",
+        )
         .mark(Mark::at_start("reaching_started"))
         .mark(Mark::at_success("grasps_reached"));
     let manifest = moves_the_head(moves_both(manifest, equipment), equipment);
@@ -87,7 +92,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             }
         }
         let Some(twists) = reach.step(&sample, dt, &seen)? else {
-            return Ok(Outcome::success().with("seen_error", reach.farthest));
+            let up = <[f64; 3]>::from(seen.surface_up());
+            return Ok(Outcome::success().with("seen_error", reach.farthest).with("up", up));
         };
         for (i, Twist { linear, angular }) in twists.into_iter().enumerate() {
             both.arm(i).twist(&sample, linear, angular)?;

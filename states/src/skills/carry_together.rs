@@ -14,7 +14,7 @@ use crate::motions::failed;
 /// The outcomes besides `success`.
 const LOST: &str = "lost";
 const SLIPS: &str = "slips";
-/// How long the load rests at the end, s, over which its weight is averaged.
+/// How long the load rests at the end, s: its weight is the median of what is felt then, which a short shove does not change.
 const RESTS: f64 = 0.5;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
@@ -29,6 +29,12 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         Type::Bool,
         false,
         "Whether it is turned on the way so that both hands are at one height, too: for grips that are at one height on it.",
+    )
+    .optional(
+        "up",
+        Type::list(Type::FLOAT),
+        Vec::<f64>::new(),
+        "What is turned to the vertical on the way: the normal of what the load stood on, root frame. Empty: it is not tilted.",
     )
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.");
     let manifest = holds(manifest)
@@ -51,13 +57,16 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut law = both.take_load(&senses.newest(), config_held(&equipment, &context)?)?;
     let from = *law.taken();
+    let up = context.vector_if_given("up")?.unwrap_or_else(Vector3::z);
+    let upright = UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_default();
     if context.flag("level")? {
-        turn *= level(&across(&both.faces(&senses.newest())));
+        turn *= level(&(upright * across(&both.faces(&senses.newest()))));
     }
+    turn *= upright;
     both.move_with(&equipment, &context, &senses.newest(), &from)?;
     let to = Isometry3::from_parts(Translation3::from(from.translation.vector + by), turn * from.rotation);
     let mut line = StraightLine::new(from, to, context.number("speed")?).map_err(failed)?;
-    let (mut weight, mut rested, mut force) = (0.0, 0.0, 0.0);
+    let (mut felt, mut rested, mut force) = (Vec::new(), 0.0, 0.0);
     loop {
         let (sample, dt) = senses.next().await?;
         let point = line.step(dt).map_err(failed)?;
@@ -70,7 +79,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             return Ok(Outcome::named(SLIPS).with("force", force).with("weight", weight));
         }
         if line.rested(0.0) {
-            weight += step.forces.external.z * dt;
+            felt.push(step.forces.external.z);
             rested += dt;
         }
         if rested > RESTS {
@@ -78,7 +87,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let faces = both.faces(&sample);
             let middle = (faces[0].translation.vector + faces[1].translation.vector) / 2.0;
             let line = across(&faces);
-            let outcome = Outcome::success().with("force", force).with("weight", weight / rested);
+            felt.sort_by(f64::total_cmp);
+            let outcome = Outcome::success().with("force", force).with("weight", felt[felt.len() / 2]);
             return Ok(outcome
                 .with("middle", <[f64; 3]>::from(middle))
                 .with("yaw", libm::atan2(line.y, line.x)));
