@@ -201,7 +201,7 @@ mod tests {
         let mut mounting = CameraMounting::default();
         for k in 0..60 {
             let marker = (k / 4) % 2;
-            let believed = head(if marker == 0 { -0.2 } else { 0.2 }, 0.1);
+            let believed = head(if marker == 0 { -0.4 } else { 0.4 }, 0.1);
             let shown_up = believed * true_head(&believed).inverse() * up;
             mounting.see_surface(&believed, &shown_up).unwrap();
             let in_camera = true_head(&believed).inverse() * markers[marker];

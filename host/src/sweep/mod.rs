@@ -302,8 +302,9 @@ fn wait_for(mut child: Child) -> Ended {
     });
     let status = child.wait();
     serde_json::from_str(&last).unwrap_or_else(|_| {
-        let refused =
-            status.as_ref().is_ok_and(|status| status.code() == Some(REFUSED)).then(|| errors.clone());
+        let refused = status.as_ref().is_ok_and(|status| status.code() == Some(REFUSED));
+        let said = || errors.split_once("error: ").map_or(errors.as_str(), |(_, said)| said).to_owned();
+        let refused = refused.then(said);
         let status = status.map_or_else(|error| error.to_string(), |status| status.to_string());
         Ended { refused, ..Ended::error(format!("{status}: {errors}")) }
     })
