@@ -9,6 +9,10 @@
 //! - The markers' middle shows how it is displaced.
 //!
 //! It is not a calibration: what the joints say of the markers is wrong by millimetres, too.
+//!
+//! # Source
+//! Kalman, "A new approach to linear filtering and prediction problems", J. Basic Engineering 82, 1960, linearised about what is known; the
+//! covariance in Joseph's form (Bucy and Joseph, "Filtering for Stochastic Processes with Applications to Guidance", 1968).
 
 use nalgebra::{Isometry3, Matrix3, Point3, SMatrix, SVector, Unit, UnitQuaternion, Vector2, Vector3};
 
@@ -32,7 +36,7 @@ pub struct MarkerView {
 pub struct CameraMounting {
     /// The camera's true pose in the frame of its believed one.
     believed_from_camera: Isometry3<f64>,
-    /// The x and y of the surface's upward normal in the root frame, as shares of its z.
+    /// The x and y of the surface's upward normal in the root frame, divided by its z: small angles, rad.
     tilt: Vector2<f64>,
     /// The covariance of how the camera is turned (rad, its own frame), and of the tilt.
     covariance: SMatrix<f64, 5, 5>,
@@ -48,7 +52,7 @@ const TILTED: f64 = 0.015;
 /// of successive pictures are much the same, so that these are larger than the noise.
 const LINE: f64 = 0.012;
 const NORMAL: f64 = 0.008;
-/// By how much what the joints say of the markers drifts from picture to picture, rad, as the arms go.
+/// By how much what the joints say of the markers drifts from picture to picture as the arms go, rad: standard deviation.
 const DRIFT: f64 = 5e-4;
 /// The least weight of a new picture for where the camera is: the mean of as many, for the same reason.
 const WEIGHT: f64 = 0.05;
