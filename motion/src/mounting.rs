@@ -231,6 +231,28 @@ mod tests {
     }
 
     #[test]
+    fn the_floor_on_all_sides_tells_tilted_cameras_from_a_neck_that_leans() {
+        let mounted = UnitQuaternion::from_euler_angles(0.03, -0.02, 0.0);
+        // Where a neck that leans takes the floor's normal to be.
+        let up = UnitQuaternion::from_euler_angles(-0.006, 0.008, 0.0) * Vector3::z_axis();
+        let mut mounting = CameraMounting::default();
+        let heads = [-0.8, -0.5, -0.2, 0.2, 0.5, 0.8].map(|yaw| head(yaw, 0.1));
+        for _ in 0..5 {
+            for believed in &heads {
+                let shown_up = believed.rotation * mounted.inverse() * believed.rotation.inverse() * up;
+                mounting.see_surface(believed, &shown_up).unwrap();
+            }
+        }
+        assert!(mounting.surface_up().angle(&up) < 5e-4, "{:?}", mounting.surface_up());
+        // Nothing shows a turn about the vertical.
+        for believed in &heads {
+            let by = believed.rotation * mounting.believed_from_camera().rotation * mounted.inverse();
+            let off = (by * believed.rotation.inverse()).scaled_axis();
+            assert!(off.xy().norm() < 1e-3, "{off}");
+        }
+    }
+
+    #[test]
     fn what_is_not_finite_changes_nothing() {
         let mut mounting = CameraMounting::default();
         let view = MarkerView {

@@ -56,6 +56,7 @@ const CAMERAS: &[&str] = &[
     "BodyCoaching",
     "LookAt",
     "LookAround",
+    "LevelCameras",
     "ModelEnvironment",
     "GazeSelection",
     "ApproachObject",

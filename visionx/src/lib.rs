@@ -77,7 +77,9 @@ pub use processor::{
 };
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
-pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep};
+pub use steps::{
+    FingertipStep, FloorStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep,
+};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use touch::{OwnFinger, OwnHand, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

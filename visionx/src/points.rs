@@ -21,6 +21,8 @@ pub(crate) struct DepthPoint {
 
 /// The points of a depth image, of every so many pixels.
 pub(crate) struct DepthPoints {
+    /// The reduced image has every so many pixels.
+    step: u32,
     /// Size of the reduced image.
     pub(crate) size: [usize; 2],
     pub(crate) points: Vec<DepthPoint>,
@@ -62,7 +64,13 @@ impl DepthPoints {
             points.push(DepthPoint { place, depth: z, at });
             index[place] = points.len() as u32;
         }
-        Self { size: [w as usize, h as usize], points, index }
+        Self { step, size: [w as usize, h as usize], points, index }
+    }
+
+    /// The index of the point that is nearest to a pixel of the depth image.
+    pub(crate) fn nearest(&self, px: &Point2<f64>) -> Option<usize> {
+        let [x, y] = [px.x, px.y].map(|v| (v / f64::from(self.step)).round() as i32);
+        self.beside(0, (x, y))
     }
 
     /// The index of the point at a place of the reduced image, beside another place by so many columns and rows.

@@ -435,7 +435,7 @@ impl StereoStep for ObjectStep {
                 .with_confidence(object.visible)
         };
         let table = first.or_else(|| self.table_under(self.tables.as_ref()?, frame, self.last.as_ref()?));
-        let table = table.map(|table| table_seen(&table, frame.stamp_ns));
+        let table = table.map(|table| level_seen("table", &table, frame.stamp_ns));
         table.into_iter().chain(self.last.as_ref().map(seen)).collect()
     }
 
@@ -474,7 +474,7 @@ impl StereoStep for TabletopStep {
         self.last = self.segmentation.segment(frame);
         let Some(Tabletop { table, objects }) = &self.last else { return Vec::new() };
         let things = objects.iter().map(|object| thing(object, frame.stamp_ns));
-        [table_seen(table, frame.stamp_ns)].into_iter().chain(things).collect()
+        [level_seen("table", table, frame.stamp_ns)].into_iter().chain(things).collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {
@@ -483,10 +483,39 @@ impl StereoStep for TabletopStep {
     }
 }
 
-fn table_seen(table: &TableEstimate, stamp_ns: u64) -> Observation {
+/// The floor as each picture shows it by itself, as `EnvironmentModels/.../floor`.
+pub struct FloorStep {
+    segmentation: TabletopSegmentation,
+}
+
+impl FloorStep {
+    /// The step for depth images of this camera.
+    pub fn new(camera: PinholeCamera) -> Self {
+        Self { segmentation: TabletopSegmentation::new(camera) }
+    }
+}
+
+impl StereoStep for FloorStep {
+    fn name(&self) -> &str {
+        "floor"
+    }
+
+    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
+        self.segmentation.missing_input(frame)
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
+        let floor = self.segmentation.floor(frame);
+        floor.map(|floor| level_seen("floor", &floor, frame.stamp_ns)).into_iter().collect()
+    }
+
+    fn draw(&self, _image: &mut RgbImage) {}
+}
+
+fn level_seen(class: &str, surface: &TableEstimate, stamp_ns: u64) -> Observation {
     let covariance = Matrix3::identity() * TABLE;
-    posed((ENVIRONMENT, "table"), stamp_ns, &table.root_from_table, &covariance)
-        .with("size", [table.size[0], table.size[1], 0.0])
+    posed((ENVIRONMENT, class), stamp_ns, &surface.root_from_table, &covariance)
+        .with("size", [surface.size[0], surface.size[1], 0.0])
 }
 
 fn thing(object: &TableObject, stamp_ns: u64) -> Observation {

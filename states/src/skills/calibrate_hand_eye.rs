@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use crate::arm::{LeasedArm, Senses, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, marker};
-use crate::hand_eye::{load_mounting, store_mounting};
+use crate::hand_eye::Mounting;
 use crate::inputs::{Inputs, seen_at};
 use crate::motions::failed;
 use crate::surface::from_level;
@@ -72,7 +72,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let marker = marker(model, &arm.limb)?;
     // The mounting through which everything is seen now.
-    let known = load_mounting(&*equipment.memory, &equipment.agent).await?;
+    let known = Mounting::load(&*equipment.memory, &equipment.agent).await?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
         let tcp = Isometry3::from_parts((center + facing * Vector3::from(place)).into(), palm);
@@ -105,8 +105,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let stamp_ns = senses.newest().stamp_ns;
-    let mounting = known * fit.target_from_source;
-    store_mounting(&*equipment.memory, &equipment.agent, &mounting, fit.rms, stamp_ns).await?;
+    let found = Mounting { believed_from_left: known.believed_from_left * fit.target_from_source, ..known };
+    found.store(&*equipment.memory, &equipment.agent, stamp_ns).await?;
     Ok(Outcome::success().with("residual", fit.rms))
 }
 

@@ -1,6 +1,6 @@
 //! `LookAround`: turns the head so that the eyes pass over what is around the robot.
 
-use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
@@ -30,28 +30,42 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let (side, down) = (context.number("side")?.abs(), context.number("down")?);
-    let dwell = context.number("dwell")?;
     let mut head = Head::take(&equipment, &context)?;
-    if !head.turns() {
-        return Ok(Outcome::success());
-    }
     let mut senses = Senses::new(&*equipment.robot, &context);
-    for (turn, lower) in views(side, down) {
+    let views = views(context.number("side")?.abs(), context.number("down")?);
+    look_at_each(&mut head, &mut senses, &views, context.number("dwell")?, |_| Ok(())).await?;
+    Ok(Outcome::success())
+}
+
+/// Turns the head to each of these views, as [`views`] gives them, and rests there for `dwell` s; `rests` is called at each sample while it
+/// does, with the number of the view. A head that nothing turns looks where it looks, once.
+pub(crate) async fn look_at_each(
+    head: &mut Head,
+    senses: &mut Senses,
+    views: &[(f64, f64)],
+    dwell: f64,
+    mut rests: impl FnMut(usize) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let count = if head.turns() { views.len() } else { 1 };
+    for (view, (turn, lower)) in views.iter().take(count).enumerate() {
         let (mut elapsed, mut rested) = (0.0, 0.0);
         while rested < dwell && elapsed < LONGEST + dwell {
             let (sample, dt) = senses.next().await?;
             let (eye, ahead) = head.straight(&sample);
-            let angle = head.look(&sample, dt, &point(&eye, &ahead, turn, lower), SPEED)?;
+            let angle = head.look(&sample, dt, &point(&eye, &ahead, *turn, *lower), SPEED)?;
             elapsed += dt;
-            rested = if angle < NEAR { rested + dt } else { 0.0 };
+            let there = angle < NEAR || !head.turns();
+            rested = if there { rested + dt } else { 0.0 };
+            if there {
+                rests(view)?;
+            }
         }
     }
-    Ok(Outcome::success())
+    Ok(())
 }
 
 /// How far to the left and below the horizon each view is, rad: a row from one side to the other, and one back lower down.
-fn views(side: f64, down: f64) -> Vec<(f64, f64)> {
+pub(crate) fn views(side: f64, down: f64) -> Vec<(f64, f64)> {
     let count = (2.0 * side / STEP).ceil().clamp(1.0, 30.0);
     let turn = |i: u32| side * (2.0 * f64::from(i) / count - 1.0);
     let upper = (0..=count as u32).map(|i| (turn(i), 0.4 * down));

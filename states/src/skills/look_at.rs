@@ -36,8 +36,8 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     equipment::skill(equipment, moves_the_head(names_the_arm(manifest), equipment), run)
 }
 
-/// Where to look, root frame, m.
-fn point(equipment: &Equipment, context: &SkillContext) -> Result<Point3<f64>, Failure> {
+/// The place that the inputs `point` and `offset` name, or where the arm works; root frame, m.
+pub(crate) fn point(equipment: &Equipment, context: &SkillContext) -> Result<Point3<f64>, Failure> {
     let arm = chosen(equipment, context);
     let model = equipment.robot.model();
     let point = match context.vector_if_given("point")? {

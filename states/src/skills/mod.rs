@@ -19,6 +19,7 @@ mod imitate_motion;
 mod keep_motion;
 mod learn_things;
 mod learn_together;
+mod level_cameras;
 mod locate_object;
 mod look_around;
 mod look_at;
@@ -59,7 +60,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
     }
     with_equipment![
         move_joints move_platform move_tcp move_tcp_by follow_object hold_still
-        look_at look_around model_environment
+        look_at look_around level_cameras model_environment
         open_hand close_hand calibrate_hand_eye locate_object recall_object plan_grasp
         approach_object visual_servo bimanual_servo
         tare reset_stop shape_hand weigh_hand verify_grasp attach_object

@@ -120,6 +120,7 @@ impl EnvironmentModel {
         self.last_ns = Some(frame.stamp_ns);
         let seen = DepthPoints::of(depth, &self.camera, &frame.root_from_left, SAMPLED);
         let mut owner = self.assigned(&seen);
+        self.spread(&seen, &mut owner);
         for (i, surface) in self.surfaces.iter_mut().enumerate() {
             let of_it = seen.points.iter().zip(&owner).filter(|(_, owner)| **owner == Some(i));
             surface.measure(of_it.map(|(point, _)| point), dt);
@@ -130,10 +131,10 @@ impl EnvironmentModel {
                 break;
             }
         }
-        let view = View { camera: self.camera, depth, root_from_left: frame.root_from_left };
-        for surface in &mut self.surfaces {
+        let view = View { camera: self.camera, depth, root_from_left: frame.root_from_left, seen, owner };
+        for (i, surface) in self.surfaces.iter_mut().enumerate() {
             let normal = surface.normal();
-            surface.look(|place| view.shows(place, &normal));
+            surface.look(|place| view.shows(place, i, &normal));
         }
         self.merge();
         self.surfaces.retain(|surface| surface.probability() >= FORGOTTEN);
@@ -152,6 +153,24 @@ impl EnvironmentModel {
             if of.next().is_some() { Some(NOBODY) } else { first }
         };
         seen.points.iter().map(of).collect()
+    }
+
+    /// What a known surface reaches from point to point, beyond its cells, is its own, too. Else a part of a wall that comes into view at
+    /// once would be taken for a surface of its own, and one across the corner for the best that fits two walls.
+    fn spread(&self, seen: &DepthPoints, owner: &mut [Option<usize>]) {
+        let owned = |i: &usize| owner[*i].is_some_and(|of| of != NOBODY);
+        let mut open: Vec<usize> = (0..owner.len()).filter(owned).collect();
+        while let Some(here) = open.pop() {
+            let of = owner[here];
+            let Some(surface) = of.and_then(|of| self.surfaces.get(of)) else { continue };
+            for next in beside(seen, here) {
+                let point = &seen.points[next];
+                if owner[next].is_none() && surface.above(&point.at).abs() < BAND * point.scale() {
+                    owner[next] = of;
+                    open.push(next);
+                }
+            }
+        }
     }
 
     /// Finds the largest surface among the points that none explains. Returns whether there may be more.
@@ -303,11 +322,14 @@ struct View<'f> {
     camera: PinholeCamera,
     depth: &'f DepthImage,
     root_from_left: Isometry3<f64>,
+    seen: DepthPoints,
+    /// For each of these points, the surface that explains it.
+    owner: Vec<Option<usize>>,
 }
 
 impl View<'_> {
-    /// What is seen at a place of a surface with this normal, both in the root frame.
-    fn shows(&self, place: &Point3<f64>, normal: &Vector3<f64>) -> Visibility {
+    /// What is seen at a place of a surface with this normal, both in the root frame. What another surface explains says nothing for this one.
+    fn shows(&self, place: &Point3<f64>, surface: usize, normal: &Vector3<f64>) -> Visibility {
         let in_left = self.root_from_left.inverse_transform_point(place);
         let Some(px) = self.camera.project(&in_left).filter(|px| px.x >= 0.0 && px.y >= 0.0) else {
             return Visibility::Unknown;
@@ -321,7 +343,10 @@ impl View<'_> {
         let behind = (measured - in_left.z) * across;
         let band = BAND * uncertainty(in_left.z);
         match behind {
-            behind if behind.abs() < band => Visibility::There,
+            behind if behind.abs() < band => {
+                let of = self.seen.nearest(&px).and_then(|point| self.owner[point]);
+                if of.is_none_or(|of| of == surface) { Visibility::There } else { Visibility::Unknown }
+            }
             behind if behind > band + BEHIND => Visibility::Through,
             _ => Visibility::Unknown,
         }
@@ -338,11 +363,8 @@ fn connected(seen: &DepthPoints, is_in: &dyn Fn(usize) -> bool) -> Vec<usize> {
         }
         let (mut part, mut open) = (vec![start], vec![start]);
         while let Some(here) = open.pop() {
-            let DepthPoint { place, at, .. } = &seen.points[here];
-            for step in [(1, 0), (-1, 0), (0, 1), (0, -1), (2, 0), (-2, 0), (0, 2), (0, -2)] {
-                let near = |next: &usize| left[*next] && (seen.points[*next].at - at).norm() < CONNECTED;
-                if let Some(next) = seen.beside(*place, step).filter(near) {
-                    left[next] = false;
+            for next in beside(seen, here) {
+                if std::mem::take(&mut left[next]) {
                     part.push(next);
                     open.push(next);
                 }
@@ -355,13 +377,23 @@ fn connected(seen: &DepthPoints, is_in: &dyn Fn(usize) -> bool) -> Vec<usize> {
     largest
 }
 
-/// Whether two surfaces are one: their planes agree, and a part of one lies on the other or beside it.
+/// The neighbours of a point in the image that are near it.
+fn beside(seen: &DepthPoints, here: usize) -> impl Iterator<Item = usize> {
+    let DepthPoint { place, at, .. } = &seen.points[here];
+    let steps = [(1, 0), (-1, 0), (0, 1), (0, -1), (2, 0), (-2, 0), (0, 2), (0, -2)];
+    let there = steps.into_iter().filter_map(|step| seen.beside(*place, step));
+    there.filter(move |&next| (seen.points[next].at - at).norm() < CONNECTED)
+}
+
+/// Whether two surfaces are one: their planes agree, and a part of one lies on the other or beside it. Of the floor there is only one, also
+/// where what stands on it hides what is between.
 fn same_surface(a: &Surface, b: &Surface) -> bool {
     if a.normal().angle(&b.normal()) > SAME.1 {
         return false;
     }
+    let floor = [a, b].iter().all(|s| s.normal().z > 0.5 && s.places().next().is_some_and(|at| at.z < FLOOR));
     let lies_on = |of: &Surface, on: &Surface| {
-        of.share(|place| on.above(place).abs() < 2.0 * SAME.0 && on.reaches(place, SAME.2)) > 0.1
+        of.share(|at| on.above(at).abs() < 2.0 * SAME.0 && (floor || on.reaches(at, SAME.2))) > 0.1
     };
     lies_on(a, b) || lies_on(b, a)
 }

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::scenes::{CALIBRATION, Thing, frame_with_depth, table};
+use crate::scenes::{CALIBRATION, Thing, frame_with_depth, root_from_left, table};
 
 fn block(x: f64, y: f64, top: f64, size: [f64; 3]) -> Thing {
     let root_from_block = Isometry3::translation(x, y, top - size[2] / 2.0);
@@ -25,6 +25,24 @@ fn frames(things: &[Thing], from: u64, count: u64) -> Vec<StereoFrame> {
         frame
     };
     (from..from + count).map(noisy).collect()
+}
+
+/// The same for a head that is turned by so much to the left, and up from where it looks down at a table, rad.
+fn turned_frames(things: &[Thing], (left, up): (f64, f64), from: u64, count: u64) -> Vec<StereoFrame> {
+    let straight = root_from_left();
+    let pitch = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), up);
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), left);
+    let root_from_left = Isometry3::from_parts(straight.translation, yaw * straight.rotation * pitch);
+    // What it sees is what a head that is not turned sees of things that are turned the other way.
+    let turned = straight * root_from_left.inverse();
+    let moved = |thing: &Thing| match thing.clone() {
+        Thing::Ball { center, radius, color } => Thing::Ball { center: turned * center, radius, color },
+        Thing::Block { root_from_block, size, color } => {
+            Thing::Block { root_from_block: turned * root_from_block, size, color }
+        }
+    };
+    let things: Vec<Thing> = things.iter().map(moved).collect();
+    frames(&things, from, count).into_iter().map(|frame| StereoFrame { root_from_left, ..frame }).collect()
 }
 
 fn seen(model: &mut EnvironmentModel, frames: &[StereoFrame]) -> Vec<SurfaceEstimate> {
@@ -108,4 +126,32 @@ fn what_is_remembered_is_found_again_under_its_name() {
     assert_eq!(there.len(), 1, "{there:?}");
     assert_eq!(there[0].name, "the_table");
     assert!((there[0].root_from_surface.translation.z - 0.90).abs() < 0.003);
+}
+
+#[test]
+fn a_corner_of_the_room_is_two_walls_and_no_third_across_it() {
+    let walls = [block(0.0, 2.65, 2.5, [6.0, 0.1, 2.5]), block(-2.05, 0.0, 2.5, [0.1, 6.0, 2.5])];
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    let mut surfaces = Vec::new();
+    for (i, left) in [-0.2, 0.15, 0.45, 0.75, 1.1, 0.6].into_iter().enumerate() {
+        surfaces = seen(&mut model, &turned_frames(&walls, (left, 0.65), 20 * i as u64, 20));
+    }
+    for surface in surfaces.iter().filter(|surface| surface.probability > 0.5) {
+        let normal = surface.root_from_surface * Vector3::z();
+        let off = normal.angle(&-Vector3::y()).min(normal.angle(&Vector3::x()));
+        assert!(off < 0.05, "{off}: {surface:?}");
+    }
+    assert_eq!(surfaces.iter().filter(|surface| surface.class == "wall").count(), 2, "{surfaces:?}");
+}
+
+#[test]
+fn parts_of_the_floor_beside_something_are_one_floor() {
+    let parts = [block(-0.9, 1.6, 0.0, [1.2, 2.4, 0.1]), block(0.9, 1.6, 0.0, [1.2, 2.4, 0.1])];
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    let mut surfaces = Vec::new();
+    for (i, left) in [0.6, -0.6].into_iter().enumerate() {
+        surfaces = seen(&mut model, &turned_frames(&parts, (left, 0.2), 20 * i as u64, 20));
+    }
+    let floor = one(&surfaces, "floor");
+    assert!(floor.size[0] > 2.5, "{floor:?}");
 }

@@ -19,6 +19,10 @@ const CELL: f64 = 0.0002;
 const STEP: u32 = 2;
 /// Least height of a table above the root frame's floor, m.
 const NO_FLOOR: f64 = 0.3;
+/// The floor's largest distance from the root frame's, m; up to which depth it is looked for, m; and how far its points stray at most, m.
+const FLOOR: (f64, f64, f64) = (0.15, 3.0, 0.004);
+/// And the least z of its normal: 6 degrees.
+const LEVEL: f64 = 0.9945;
 /// Least share of the points that lie on the table.
 const MIN_SHARE: f64 = 0.05;
 /// Lowest height of an object's points above the table, and its greatest height, m.
@@ -111,6 +115,19 @@ impl TabletopSegmentation {
         })
     }
 
+    /// The floor in a frame: the largest level plane about z = 0 of the root frame; `None` without a depth image of the camera's size, or
+    /// without such a plane.
+    pub fn floor(&self, frame: &StereoFrame) -> Option<TableEstimate> {
+        let depth = self.camera.usable(frame.depth.as_ref()?)?;
+        let seen = DepthPoints::of(depth, &self.camera, &frame.root_from_left, (2 * STEP, FLOOR.1));
+        let wanted = |at: &Point3<f64>, normal: &Vector3<f64>| {
+            upwards(normal).filter(|up| at.z.abs() < FLOOR.0 && up.z > LEVEL)
+        };
+        let plane = Plane::largest(&seen, &|_| true, MIN_SHARE, &wanted)?;
+        let (floor, _) = visible_part(&seen, &plane)?;
+        (floor.deviation < FLOOR.2).then_some(floor)
+    }
+
     /// The table in a frame with its objects; `None` without a depth image of the camera's size, or without a level
     /// plane above floor height.
     pub fn segment(&self, frame: &StereoFrame) -> Option<Tabletop> {
@@ -118,18 +135,7 @@ impl TabletopSegmentation {
         let seen = DepthPoints::of(depth, &self.camera, &frame.root_from_left, (STEP, f64::MAX));
         let wanted = |at: &Point3<f64>, normal: &Vector3<f64>| upwards(normal).filter(|_| at.z >= NO_FLOOR);
         let plane = Plane::largest(&seen, &|_| true, MIN_SHARE, &wanted)?;
-        let on_it: Vec<Point2<f64>> = seen
-            .points
-            .iter()
-            .filter(|s| plane.above(&s.at).abs() < RISES.0)
-            .map(|s| plane.flat(&s.at))
-            .collect();
-        let border = Rectangle::around(&on_it, 0.0, CELL)?;
-        let table = TableEstimate {
-            root_from_table: plane.pose(&border, 0.0),
-            size: border.size,
-            deviation: plane.deviation,
-        };
+        let (table, border) = visible_part(&seen, &plane)?;
         let mut objects: Vec<(usize, TableObject)> = self
             .rising_objects(&seen, &plane, &border)
             .into_iter()
@@ -198,6 +204,15 @@ impl TabletopSegmentation {
             bounding_box: Region::around(corners, 0.0, self.camera.width, self.camera.height),
         })
     }
+}
+
+/// The visible part of a plane.
+fn visible_part(seen: &DepthPoints, plane: &Plane) -> Option<(TableEstimate, Rectangle)> {
+    let on_it = seen.points.iter().filter(|s| plane.above(&s.at).abs() < RISES.0);
+    let on_it: Vec<Point2<f64>> = on_it.map(|s| plane.flat(&s.at)).collect();
+    let border = Rectangle::around(&on_it, 0.0, CELL)?;
+    let root_from_table = plane.pose(&border, 0.0);
+    Some((TableEstimate { root_from_table, size: border.size, deviation: plane.deviation }, border))
 }
 
 #[cfg(test)]

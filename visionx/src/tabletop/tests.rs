@@ -130,3 +130,23 @@ fn a_frame_without_place_or_depth_is_no_table_but_an_error_that_says_what_is_mis
     small.images[2] = RawImage::new("depth", PixelFormat::Depth16, (2, 1), vec![9; 4]).unwrap();
     assert!(asked(small).unwrap_err().contains("a depth image of 2 x 1 pixels"));
 }
+
+#[test]
+fn the_floor_is_found_under_a_table_as_it_seems_to_be_tilted() {
+    let tilted = |angle: f64| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle);
+        let root_from_block = Isometry3::from_parts(Vector3::new(0.0, 1.0, -0.05).into(), turn);
+        Thing::Block { root_from_block, size: Vector3::new(4.0, 4.0, 0.1), color: [120, 120, 120] }
+    };
+    let segmentation = TabletopSegmentation::new(CALIBRATION.camera);
+    for angle in [0.0, 0.02, -0.03] {
+        let frame = noisy(frame_with_depth(&[table([150, 115, 80]), tilted(angle)], 0, 1), 0.003);
+        let floor = segmentation.floor(&frame).unwrap();
+        let (up, true_up) = (
+            floor.root_from_table * Vector3::z(),
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), angle) * Vector3::z(),
+        );
+        assert!(up.angle(&true_up) < 0.002, "{angle}: {up}");
+    }
+    assert_eq!(segmentation.floor(&frame_with_depth(&[table([150, 115, 80])], 0, 1)), None);
+}
