@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, MemoryError};
 use armarium_runtime::skill::Failure;
-use armarium_values::{Pose, Value};
+use armarium_values::{Frame, Pose, Value};
 use armarium_visionx::{ImageError, ImageSource, StereoCalibration, StereoFrame};
 use async_trait::async_trait;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
@@ -20,11 +20,10 @@ use crate::motions::failed;
 const SEGMENT: &str = "AgentInstances";
 const ENTITY: &str = "hand_eye";
 
-/// The attributes, and the frames in which they are given.
+/// The attributes; the mounting is given in the frame `CAMERA`, how the neck leans in the root frame.
 const MOUNTED: &str = "believed_from_left";
 const CAMERA: &str = "camera_left_believed";
 const UPRIGHT: &str = "upright";
-const ROOT: &str = "root";
 
 /// Where the cameras are, as far as it is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -43,18 +42,18 @@ impl Mounting {
             Err(MemoryError::NotFound { .. }) => return Ok(Self::default()),
             Err(error) => return Err(failed(error)),
         };
-        let pose = |name: &str, frame: &str| match known.attribute(name) {
-            Some(Value::Pose(pose)) if pose.frame.0 == frame => pose.isometry(),
+        let pose = |name: &str, frame: Frame| match known.attribute(name) {
+            Some(Value::Pose(pose)) if pose.frame == frame => pose.isometry(),
             _ => Isometry3::identity(),
         };
-        Ok(Self { believed_from_left: pose(MOUNTED, CAMERA), upright: pose(UPRIGHT, ROOT) })
+        Ok(Self { believed_from_left: pose(MOUNTED, CAMERA.into()), upright: pose(UPRIGHT, Frame::root()) })
     }
 
     /// Writes it to memory.
     pub(crate) async fn store(&self, memory: &dyn Memory, agent: &str, stamp_ns: u64) -> Result<(), Failure> {
-        let pose = |frame: &str, pose: &Isometry3<f64>| Value::Pose(Pose::new(frame.into(), pose));
-        let attributes =
-            [(MOUNTED, pose(CAMERA, &self.believed_from_left)), (UPRIGHT, pose(ROOT, &self.upright))];
+        let mounted = Pose::new(CAMERA.into(), &self.believed_from_left);
+        let upright = Pose::new(Frame::root(), &self.upright);
+        let attributes = [(MOUNTED, Value::Pose(mounted)), (UPRIGHT, Value::Pose(upright))];
         let commit = Commit::new(address(agent)?, stamp_ns, attributes);
         memory.commit(vec![commit]).await.map_err(failed)?;
         Ok(())

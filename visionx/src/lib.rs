@@ -77,9 +77,7 @@ pub use processor::{
 };
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
-pub use steps::{
-    FingertipStep, FloorStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep, TabletopStep,
-};
-pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
+pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep};
+pub use tabletop::{FloorStep, TableEstimate, TableObject, Tabletop, TabletopSegmentation, TabletopStep};
 pub use touch::{OwnFinger, OwnHand, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

@@ -158,10 +158,10 @@ impl EnvironmentModel {
     /// What a known surface reaches from point to point, beyond its cells, is its own, too. Else a part of a wall that comes into view at
     /// once would be taken for a surface of its own, and one across the corner for the best that fits two walls.
     fn spread(&self, seen: &DepthPoints, owner: &mut [Option<usize>]) {
-        let owned = |i: &usize| owner[*i].is_some_and(|of| of != NOBODY);
-        let mut open: Vec<usize> = (0..owner.len()).filter(owned).collect();
+        let mut open: Vec<usize> = (0..owner.len()).filter(|&i| owner[i].is_some()).collect();
         while let Some(here) = open.pop() {
             let of = owner[here];
+            // What is nobody's goes on to nobody.
             let Some(surface) = of.and_then(|of| self.surfaces.get(of)) else { continue };
             for next in beside(seen, here) {
                 let point = &seen.points[next];

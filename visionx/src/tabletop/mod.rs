@@ -1,7 +1,9 @@
-//! Finds the table and the objects on it in a depth image: a level plane, and what rises from it.
+//! Finds the table and the objects on it in a depth image: a level plane, and what rises from it; and the floor.
 //!
 //! No object models are needed: an object is the bounding box of its visible part, down to the table. Objects cut by
 //! the image's border, such as an arm that reaches in, are left out. Without a depth image nothing is found.
+
+mod step;
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
@@ -12,6 +14,8 @@ use crate::plane::{Plane, upwards};
 use crate::points::{DepthPoint, DepthPoints};
 use crate::providers::{PixelFormat, RawFrame};
 use crate::rectangle::Rectangle;
+pub(crate) use step::level_seen;
+pub use step::{FloorStep, TabletopStep};
 
 /// Rounding of a footprint's points in the search of its smallest rectangle, m.
 const CELL: f64 = 0.0002;
@@ -21,7 +25,7 @@ const STEP: u32 = 2;
 const NO_FLOOR: f64 = 0.3;
 /// The floor's largest distance from the root frame's, m; up to which depth it is looked for, m; and how far its points stray at most, m.
 const FLOOR: (f64, f64, f64) = (0.15, 3.0, 0.004);
-/// And the least z of its normal: 6 degrees.
+/// And the least z of its normal, a unit vector in the root frame: 6 degrees.
 const LEVEL: f64 = 0.9945;
 /// Least share of the points that lie on the table.
 const MIN_SHARE: f64 = 0.05;

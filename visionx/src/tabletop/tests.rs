@@ -9,7 +9,7 @@ use super::*;
 use crate::processor::ImageProcessor;
 use crate::providers::{ProviderDescription, RawImage, StereoPair, frame_of};
 use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
-use crate::steps::{OfStereo, TabletopStep};
+use crate::steps::OfStereo;
 
 const TOP: f64 = 0.90;
 
