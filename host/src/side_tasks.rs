@@ -12,6 +12,7 @@ use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::live::MEMORY;
 use armarium_viewer::progress::ProgressLine;
+use armarium_visionx::BulkEstimate;
 use parking_lot::Mutex;
 use tokio::sync::broadcast::error::RecvError;
 
@@ -81,14 +82,15 @@ fn thing(snapshot: &Snapshot) -> Option<KnownThing> {
     Some(KnownThing { class, place: pose.isometry().translation.vector, seen_ns: snapshot.referenced_ns })
 }
 
-/// A surface of the model of the surroundings, as memory knows it; `None` of what is gone, is no surface, or was seen in a single look.
+/// A surface or a bulk of the model of the surroundings, as memory knows it; `None` of what is gone, is something else, or was seen in a
+/// single look.
 fn surface(snapshot: &Snapshot) -> Option<KnownSurface> {
-    snapshot.attribute("plane_covariance")?;
+    let class = snapshot.attribute("class")?.as_str()?.to_owned();
+    (snapshot.attribute("plane_covariance").is_some() || class == BulkEstimate::CLASS).then_some(())?;
     let probability = snapshot.instance()?.confidence;
     let Some(Value::Pose(pose)) = snapshot.attribute("pose") else { return None };
-    let [x, y, _] = snapshot.attribute("size")?.as_vector3()?;
-    let class = snapshot.attribute("class")?.as_str()?.to_owned();
-    Some(KnownSurface { class, root_from_surface: pose.isometry(), size: [x, y], probability })
+    let size = snapshot.attribute("size")?.as_vector3()?;
+    Some(KnownSurface { class, root_from_surface: pose.isometry(), size, probability })
 }
 
 /// Records what memory knows, and what changes in it; times are those of `clock`.

@@ -10,6 +10,10 @@ use crate::world::TableSpec;
 
 /// Thickness of the table's top, m.
 pub const THICKNESS: f64 = 0.03;
+/// Radius of its legs, m.
+pub(crate) const LEG_RADIUS: f64 = 0.02;
+/// How far the middle of a leg is from the edges, m.
+const LEG_FROM_EDGE: f64 = 0.05;
 /// Edge of a cell of the dirt grid, m.
 pub const DIRT_CELL: f64 = 0.0025;
 /// The table's wiped cells are marked every this many steps; the referee uses the same interval.
@@ -68,6 +72,16 @@ impl TableTop {
     /// Half its width and depth, m.
     pub fn half(&self) -> [f64; 2] {
         self.half
+    }
+
+    /// The middle of each of its four legs, root frame (z along it), and half the leg's length, m. They are seen, and touch nothing.
+    pub(crate) fn legs(&self) -> [(Isometry3<f64>, f64); 4] {
+        [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)].map(|(x, y)| {
+            let [half_x, half_y] = self.half.map(|half| half - LEG_FROM_EDGE);
+            let top = self.root_from_top * Point3::new(x * half_x, y * half_y, -THICKNESS);
+            let half_length = (top.z / 2.0).max(0.01);
+            (Isometry3::translation(top.x, top.y, half_length), half_length)
+        })
     }
 
     /// Its bumps, in its own frame.

@@ -7,6 +7,7 @@ use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Observation, Search, Value, distance_from_box};
+use armarium_visionx::BulkEstimate;
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use parking_lot::RwLock;
 
@@ -131,6 +132,11 @@ pub(crate) async fn places_where(
         Some(shape)
     };
     Ok(known.iter().filter(|known| wanted(known)).filter_map(place).collect())
+}
+
+/// Whether a place is the box around something that has no known surfaces.
+pub(crate) fn is_bulk(place: &Snapshot) -> bool {
+    place.attribute("class").and_then(Value::as_str) == Some(BulkEstimate::CLASS)
 }
 
 fn shape(remembered: Remembered<'_>, snapshot: &Snapshot, size: [f64; 3]) -> Option<KnownBox> {

@@ -8,7 +8,7 @@ use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 
-use crate::places::{Remembered, places, places_where};
+use crate::places::{Remembered, is_bulk, places_where};
 
 /// What stands on a surface has its underside within this of it, m.
 const STANDS: f64 = 0.04;
@@ -49,12 +49,13 @@ impl ContactPlane {
         Ok(Self::known_under(memory, point).await?.unwrap_or_else(|| Self::level(*point)))
     }
 
-    /// The surface in memory over which a point is, if there is one.
+    /// The surface in memory over which a point is, if there is one. The box around a bulk has none.
     pub(crate) async fn known_under(
         memory: Remembered<'_>,
         point: &Point3<f64>,
     ) -> Result<Option<Self>, Failure> {
-        Ok(nearest_under(&places(memory).await?, point))
+        let known = places_where(memory, |place| !is_bulk(place)).await?;
+        Ok(nearest_under(&known, point))
     }
 
     /// The surface of this robot's model of its environment over which a point is, if there is one.

@@ -32,16 +32,24 @@ fn furniture_is_known_where_it_is_and_still_the_next_day() {
     assert!(missed.is_empty(), "{missed:?} {own}");
     assert_eq!(own["tops"].as_array().map(Vec::len), Some(4), "{own}");
     assert_eq!(own["moved"][0]["name"], "trolley", "{own}");
+    assert_eq!(own["bulks"][0]["missed"], 0, "{own}");
     // What the store holds is what the next run begins with.
     let charts = armarium_tests::repository::root().join("statecharts");
     let world = World::load(&charts.join("look_around.world.yaml"), 1).unwrap();
     let memory = memory_of_run(&world, &folder.path().join("memory.redb"), &[PLACES.to_owned()]).unwrap();
     let table = memory.memory().latest_now(&format!("{PLACES}/local/table").parse().unwrap()).unwrap();
     assert!(table.instance().unwrap().confidence > 0.9);
+    let bush = memory.memory().latest_now(&format!("{PLACES}/local/bulk").parse().unwrap()).unwrap();
+    assert!(
+        bush.attribute("size").unwrap().as_vector3().unwrap().iter().all(|edge| *edge >= 0.2),
+        "{bush:?}"
+    );
     drop(memory);
     // The next day the trolley is back: where it was remembered, it is no longer.
     let ended = looked_around(folder.path(), "1");
     let own = &ended.report["environment"];
-    assert_eq!((&own["twice"], &own["invented"]), (&0.into(), &0.into()), "{own}");
+    for wrong in ["twice", "invented", "bulk_invented"] {
+        assert_eq!(own[wrong], 0, "{own}");
+    }
     assert_eq!(own["tops"][0]["known_as"], "table", "{own}");
 }

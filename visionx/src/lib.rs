@@ -60,7 +60,7 @@ pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
 pub use components::{Component, components};
 pub use counter::{Counter, Latency};
-pub use environment::{EnvironmentModel, EnvironmentStep, SurfaceEstimate};
+pub use environment::{BulkEstimate, EnvironmentModel, EnvironmentStep, SurfaceEstimate};
 pub use epipolar::EpipolarCheck;
 pub use frame::{DepthImage, ImageError, RgbImage, SharedImage, StereoFrame};
 pub use image_source::ImageSource;

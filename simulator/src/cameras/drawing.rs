@@ -14,7 +14,7 @@ use crate::render::hand::{HandPose, hand_shapes};
 use crate::render::robot::{link_shapes, robot_shapes};
 use crate::render::{Bump, DirtTexture, ExposureMotion, Shape, VisibleForm, VisibleScene};
 use crate::start::{self, RobotStart};
-use crate::table::{DirtGrid, THICKNESS, TableTop};
+use crate::table::{DirtGrid, LEG_RADIUS, THICKNESS, TableTop};
 use crate::world::{CoverSpec, World};
 
 /// Half the edges of the coach's tool, m.
@@ -246,16 +246,10 @@ impl Drawing {
 }
 
 fn legs(table: &TableTop) -> Vec<Shape> {
-    let [hx, hy] = table.half();
-    let mut legs = Vec::new();
-    for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
-        let corner = Point3::new(sx * (hx - 0.05), sy * (hy - 0.05), -THICKNESS);
-        let top = table.root_from_top() * corner;
-        let half_length = (top.z / 2.0).max(0.01);
-        let pose = Isometry3::translation(top.x, top.y, half_length);
-        legs.push(Shape::new(VisibleForm::Cylinder { radius: 0.02, half_length }, pose, [90, 90, 94]));
-    }
-    legs
+    let leg = |(pose, half_length)| {
+        Shape::new(VisibleForm::Cylinder { radius: LEG_RADIUS, half_length }, pose, [90, 90, 94])
+    };
+    table.legs().map(leg).into()
 }
 
 fn board(cover: &CoverSpec) -> Shape {

@@ -1,9 +1,10 @@
 //! The probe `environment`: what the robot's memory knows of the surfaces around it, against where they are, and how long it took to
 //! notice that one had moved away.
 
+use armarium_values::distance_from_box;
 use armarium_values::report::Requirement::{AtMost, Shown};
 use armarium_values::report::{Block, Cell, Figure, Requirement, Section};
-use armarium_visionx::PinholeCamera;
+use armarium_visionx::{BulkEstimate, PinholeCamera};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use serde::Serialize;
 use serde_json::Value;
@@ -12,7 +13,7 @@ use super::log::KnownSurface;
 use super::probes::{Probe, cell, figure, table_of, things};
 use super::run::JudgedRun;
 use crate::render::Background;
-use crate::table::TableTop;
+use crate::table::{LEG_RADIUS, TableTop};
 use crate::truth::FrameTruth;
 use crate::world::{BodyShape, World};
 
@@ -57,6 +58,10 @@ struct EnvironmentFigures {
     invented: usize,
     /// Surfaces that are known at the end.
     known: usize,
+    /// What is there and has no flat faces.
+    bulks: Vec<BulkFigures>,
+    /// How many known bulks are where there is nothing.
+    bulk_invented: usize,
     moved: Vec<MovedFigures>,
     /// What is asked of heights, m, and tilts, degrees.
     height_within_m: f64,
@@ -85,6 +90,18 @@ struct TopFigures {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
+struct BulkFigures {
+    name: String,
+    /// For how long its middle was in view, s.
+    looked_at_s: f64,
+    /// 1 where it was looked at and no known bulk is near its middle.
+    missed: u32,
+    /// The longest edge of the nearest known one less its own diameter, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    size_error_m: Option<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
 struct MovedFigures {
     name: String,
     /// For how long its old place was in view until it was no longer known there, s; `None` if it still is.
@@ -97,7 +114,8 @@ struct MovedFigures {
 fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     // Without a model of the surroundings there is nothing to judge.
     run.log.surfaces.iter().find(|(_, _, known)| known.is_some())?;
-    let known = known_at(run, u64::MAX);
+    let (bulk, known): (Vec<_>, Vec<_>) =
+        known_at(run, u64::MAX).into_iter().partition(|known| known.class == BulkEstimate::CLASS);
     let faces = faces(run, |begin_and_end| begin_and_end.1);
     let (mut of_face, mut invented) = (vec![Vec::new(); faces.len()], 0);
     for surface in &known {
@@ -110,9 +128,18 @@ fn measure(run: &JudgedRun<'_>) -> Option<Value> {
     let (height_within_m, tilt_within_deg) = asked(run.world);
     let tops = faces.iter().zip(&of_face).filter(|(face, _)| face.is_top);
     let tops = tops.map(|(face, of)| top(run, face, of.first().copied())).collect();
-    let (known, moved) = (known.len(), moved(run));
-    let figures =
-        EnvironmentFigures { tops, twice, invented, known, moved, height_within_m, tilt_within_deg };
+    let (known, moved, (bulks, bulk_invented)) = (known.len(), moved(run), bulks(run, &bulk, &faces));
+    let figures = EnvironmentFigures {
+        tops,
+        twice,
+        invented,
+        known,
+        bulks,
+        bulk_invented,
+        moved,
+        height_within_m,
+        tilt_within_deg,
+    };
     serde_json::to_value(figures).ok()
 }
 
@@ -196,13 +223,13 @@ impl Face {
 fn top(run: &JudgedRun<'_>, face: &Face, known: Option<&KnownSurface>) -> TopFigures {
     let looked_at_s =
         looked_at(run, &[face.pose.translation.vector.into()], 0).last().map_or(0.0, |(_, s)| *s);
-    let edges = |size: [f64; 2]| [size[0].max(size[1]), size[0].min(size[1])];
+    let edges = |[x, y]: [f64; 2]| [x.max(y), x.min(y)];
     let height = |known: &KnownSurface| {
         let middle = Point3::from(known.root_from_surface.translation.vector);
         (face.pose.inverse() * middle).z
     };
     let size = |known: &KnownSurface| {
-        let (is, should) = (edges(known.size), edges(face.half.map(|half| 2.0 * half)));
+        let (is, should) = (edges([known.size[0], known.size[1]]), edges(face.half.map(|half| 2.0 * half)));
         [is[0] - should[0], is[1] - should[1]]
     };
     let tilt =
@@ -217,6 +244,44 @@ fn top(run: &JudgedRun<'_>, face: &Face, known: Option<&KnownSurface>) -> TopFig
         tilt_error_deg: known.map(tilt),
         size_error_m: known.map(size),
     }
+}
+
+/// The balls that are as large as furniture, and how many of the known bulks are near to nothing.
+fn bulks(run: &JudgedRun<'_>, known: &[&KnownSurface], faces: &[Face]) -> (Vec<BulkFigures>, usize) {
+    let objects = run.world.objects.len();
+    let balls = (objects..).zip(&run.world.bodies).filter(|(_, body)| body.shape == BodyShape::Sphere);
+    let large = balls.filter(|(_, body)| body.diameter >= FURNITURE);
+    let mut near_something = vec![false; known.len()];
+    let mut figures = Vec::new();
+    for (index, body) in large {
+        let Some((_, pose)) = run.log.begin_and_end(index) else { continue };
+        let middle = Point3::from(pose.translation.vector);
+        let apart = |bulk: &KnownSurface| {
+            distance_from_box(&middle, &bulk.root_from_surface, &Vector3::from(bulk.size))
+        };
+        let of_it = |bulk: &KnownSurface| apart(bulk) < body.diameter / 2.0;
+        near_something.iter_mut().zip(known).for_each(|(near, bulk)| *near |= of_it(bulk));
+        let nearest = known.iter().filter(|bulk| of_it(bulk)).min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        let looked_at_s = looked_at(run, &[middle], 0).last().map_or(0.0, |(_, s)| *s);
+        figures.push(BulkFigures {
+            name: body.name.clone(),
+            looked_at_s,
+            missed: u32::from(nearest.is_none() && looked_at_s > LOOKED),
+            size_error_m: nearest.map(|bulk| bulk.size.into_iter().fold(0.0, f64::max) - body.diameter),
+        });
+    }
+    // What is seen of a body before its faces are known is of that body; legs of a table have none.
+    let flat = faces.iter().map(|face| (face.pose, Vector3::new(face.half[0], face.half[1], 0.0) * 2.0));
+    let leg = |(pose, half)| (pose, Vector3::new(LEG_RADIUS, LEG_RADIUS, half) * 2.0);
+    let legs = TableTop::new(&run.world.table).legs().map(leg);
+    let solid: Vec<_> = flat.chain(legs).collect();
+    let at_something = |bulk: &KnownSurface| {
+        let middle = Point3::from(bulk.root_from_surface.translation.vector);
+        solid.iter().any(|(pose, size)| distance_from_box(&middle, pose, size) < 2.0 * NEAR.0)
+    };
+    let invented =
+        near_something.iter().zip(known).filter(|(near, bulk)| !**near && !at_something(bulk)).count();
+    (figures, invented)
 }
 
 /// The frames from a time on in which one of some places is in view, with the time for which that has been so by then, s.
@@ -255,7 +320,11 @@ fn moved(run: &JudgedRun<'_>) -> Vec<MovedFigures> {
         };
         let moves = run.log.moved.get(&index).map_or(&[][..], Vec::as_slice);
         let Some((left_ns, _)) = moves.iter().find(|(_, pose)| left(pose)) else { continue };
-        let known = |stamp: u64| known_at(run, stamp).iter().any(|surface| covers(surface, top));
+        let known = |stamp: u64| {
+            known_at(run, stamp)
+                .iter()
+                .any(|surface| surface.class != BulkEstimate::CLASS && covers(surface, top))
+        };
         // What was not known before cannot fade.
         if !known(*left_ns) {
             continue;
@@ -288,6 +357,7 @@ fn asks(own: &Value) -> Vec<Figure> {
         of("surfaces known", own, ("known", 1.0), ("", 0), Shown),
         of("known twice", own, ("twice", 1.0), ("", 0), AtMost(0.0)),
         of("known where there is none", own, ("invented", 1.0), ("", 0), AtMost(0.0)),
+        of("bulks where there is nothing", own, ("bulk_invented", 1.0), ("", 0), AtMost(0.0)),
     ];
     for top in things(&own["tops"]) {
         let group = format!("Top of {}", top["name"].as_str().unwrap_or_default());
@@ -300,6 +370,14 @@ fn asks(own: &Value) -> Vec<Figure> {
         let within = |key, factor| if top["judged"] == true { AtMost(number(key) * factor) } else { Shown };
         ask("height off by", &off, ("height", 1e3), ("mm", 1), within("height_within_m", 1e3));
         ask("tilt off by", top, ("tilt_error_deg", 1.0), ("°", 2), within("tilt_within_deg", 1.0));
+    }
+    for bulk in things(&own["bulks"]) {
+        let group = format!("Bulk of {}", bulk["name"].as_str().unwrap_or_default());
+        let mut ask = |name, key, unit, requirement| {
+            figures.push(figure((&group, name), bulk, key, unit, requirement));
+        };
+        ask("missed", ("missed", 1.0), ("", 0), AtMost(0.0));
+        ask("longest edge off by", ("size_error_m", 1e3), ("mm", 0), Shown);
     }
     for moved in things(&own["moved"]) {
         let group = format!("Place that {} left", moved["name"].as_str().unwrap_or_default());

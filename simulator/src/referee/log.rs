@@ -41,15 +41,15 @@ pub struct Record {
     pub fastest_joint: f64,
 }
 
-/// A surface as the robot's memory knows it.
+/// A surface as the robot's memory knows it, or a bulk, which is a box.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownSurface {
-    /// `table`, `floor`, `wall` ...
+    /// `table`, `floor`, `wall` ..., or `bulk`.
     pub class: String,
     /// Pose of its middle in the root frame; z is its normal.
     pub root_from_surface: Isometry3<f64>,
-    /// Its lengths along x and y, m.
-    pub size: [f64; 2],
+    /// Its lengths along x and y, and a bulk's along z, m.
+    pub size: [f64; 3],
     /// The probability that it is there.
     pub probability: f64,
 }

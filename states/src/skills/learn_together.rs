@@ -41,10 +41,11 @@ const FADES: f64 = 0.8;
 const BACK: f64 = 0.08;
 /// Cut-off frequency of the filter on what the hands feel, Hz.
 const FILTER: f64 = 20.0;
-/// (11): what is learned of the last epoch, and the feedback within one, in task and in joint space: with more feedback to the joints the
-/// discrete part falls less.
+/// (11): what is learned of the last epoch, and the feedback within one: in task space, in joint space, and in task space from forces alone. In
+/// the latter two the discrete part falls less with more feedback.
 const LEARNING: LearningControlConfig = LearningControlConfig { q: 1.0, l: 0.3, c: 0.3 };
 const LEARNING_JOINTS: LearningControlConfig = LearningControlConfig { c: 0.15, ..LEARNING };
+const LEARNING_FORCES: LearningControlConfig = LearningControlConfig { l: 0.45, c: 0.15, ..LEARNING };
 /// K1 of (10), m/s/N.
 const K1: f64 = 0.08;
 /// How much more the hands press than with what a friction needs.
@@ -185,6 +186,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     };
     let mut motions = [motion(0)?, motion(1)?];
     let learning = match task.space {
+        Space::Task if task.gains.k2 == 0.0 => LEARNING_FORCES,
         Space::Task => LEARNING,
         Space::Joint => LEARNING_JOINTS,
     };

@@ -1,4 +1,4 @@
-//! `ModelEnvironment`: keeps in memory where tables, shelves, walls and the floor are, as depth shows them.
+//! `ModelEnvironment`: keeps in memory where tables, shelves, walls, the floor and other solid things are, as depth shows them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,13 +7,14 @@ use armarium_memoryx::updater::Updater;
 use armarium_memoryx::{Pattern, Query, Snapshot};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Observation, Type, Value};
-use armarium_visionx::{EnvironmentModel, EnvironmentStep, ImageError, SurfaceEstimate};
-use nalgebra::Matrix3;
+use armarium_visionx::{BulkEstimate, EnvironmentModel, EnvironmentStep, ImageError, SurfaceEstimate};
+use nalgebra::{Matrix3, Vector3};
 
 use crate::equipment::{self, Equipment};
 use crate::inputs::seen_pose;
 use crate::motions::failed;
-use crate::places::PLACES;
+use crate::own_hand::own_body;
+use crate::places::{PLACES, is_bulk};
 
 /// Changes that are worth writing to memory: of a pose, m and rad, of an edge, m, and of a probability.
 const WORTH: (f64, f64, f64, f64) = (0.003, 0.003, 0.04, 0.1);
@@ -21,7 +22,7 @@ const WORTH: (f64, f64, f64, f64) = (0.003, 0.003, 0.04, 0.1);
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "ModelEnvironment",
-        "Keeps in memory where tables, shelves, walls and the floor are, as depth shows them, until it is cancelled.",
+        "Keeps in memory where tables, shelves, walls, the floor and other solid things are, as depth shows them, until it is cancelled.",
     )
     .optional("for", Type::Duration, 0.0, "How long; 0: until it is cancelled.");
     equipment::skill(equipment, manifest, run)
@@ -48,9 +49,13 @@ async fn work(equipment: &Equipment) -> SkillResult {
         return Err(Failure::new("the cameras give no depth, by which surfaces are found"));
     }
     let camera = equipment.images.calibration().camera;
-    let model = EnvironmentModel::new(camera).remembering(remembered(equipment).await?);
+    let own = Pattern::segment(PLACES).of_provider(&equipment.agent);
+    let known = equipment.memory.query(&Query::latest(own)).await.map_err(failed)?;
+    let surfaces = known.iter().filter_map(|known| surface(equipment, known)).collect();
+    let bulks = known.iter().filter_map(|known| bulk(equipment, known)).collect();
+    let model = EnvironmentModel::new(camera).remembering(surfaces, bulks);
     let updater = Updater::new(Arc::clone(&equipment.memory), &equipment.agent).map_err(failed)?;
-    let mut sight = equipment.look(EnvironmentStep::new(model, camera));
+    let mut sight = equipment.look(EnvironmentStep::new(model, camera).without(own_body(equipment)));
     let mut written: BTreeMap<String, Observation> = BTreeMap::new();
     loop {
         let sighting = match sight.next().await {
@@ -84,13 +89,7 @@ fn differ(before: &Observation, now: &Observation) -> bool {
         || (before.confidence - now.confidence).abs() > WORTH.3
 }
 
-/// The surfaces that this agent knows from before, root frame.
-async fn remembered(equipment: &Equipment) -> Result<Vec<SurfaceEstimate>, Failure> {
-    let own = Pattern::segment(PLACES).of_provider(&equipment.agent);
-    let known = equipment.memory.query(&Query::latest(own)).await.map_err(failed)?;
-    Ok(known.iter().filter_map(|known| surface(equipment, known)).collect())
-}
-
+/// A surface that this agent knows from before, root frame.
 fn surface(equipment: &Equipment, known: &Snapshot) -> Option<SurfaceEstimate> {
     let numbers = known.attribute("plane_covariance")?.as_list()?;
     let numbers: Vec<f64> = numbers.iter().filter_map(Value::as_f64).collect();
@@ -101,6 +100,19 @@ fn surface(equipment: &Equipment, known: &Snapshot) -> Option<SurfaceEstimate> {
         root_from_surface: equipment.remembered().root_pose(known)?,
         size: [x, y],
         covariance: (numbers.len() == 9).then(|| Matrix3::from_row_slice(&numbers))?,
+        probability: known.instance()?.confidence,
+    })
+}
+
+/// A bulk that it knows from before.
+fn bulk(equipment: &Equipment, known: &Snapshot) -> Option<BulkEstimate> {
+    is_bulk(known).then_some(())?;
+    let size = Vector3::from(known.attribute("size")?.as_vector3()?);
+    Some(BulkEstimate {
+        name: known.id.entity().to_owned(),
+        root_from_box: equipment.remembered().root_pose(known)?,
+        size,
+        covariance: Matrix3::zeros(),
         probability: known.instance()?.confidence,
     })
 }

@@ -3,19 +3,24 @@
 //!
 //! Each picture adds to what is known of a surface: of its plane by recursive least squares with the covariance of the depths and
 //! of where the camera was, of its extent cell by cell. A place of a surface behind which something is measured speaks against it,
-//! so that what was taken away fades. It knows no memory: whoever runs it tells it what is remembered, and keeps what it tells.
+//! so that what was taken away fades. What is solid and no surface is kept in a coarse grid. It knows no memory: whoever runs it tells
+//! it what is remembered, and keeps what it tells.
 
+mod grid;
 mod step;
 mod surface;
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
+use crate::own_part::OwnPart;
 use crate::plane::{Plane, towards, upwards};
 use crate::points::{DepthPoint, DepthPoints, uncertainty};
+pub use grid::BulkEstimate;
+use grid::Grid;
 pub use step::EnvironmentStep;
 use surface::{CELL, Surface, Visibility};
 
@@ -34,6 +39,10 @@ const MIN_SHARE: f64 = 0.05;
 const MIN_POINTS: usize = 150;
 /// Points of a new surface that are near stray from it by less than this, m: standard deviation.
 const FLAT: f64 = 0.003;
+/// Up to which depth what is solid and no surface is looked for, m.
+const SOLID: f64 = 2.5;
+/// What is nearer to a surface, at a near place, or to the robot's own body than this may be of that, m.
+const MAY_BE_OF: (f64, f64) = (0.08, 0.05);
 /// Takes the points that belong to no single surface.
 const NOBODY: usize = usize::MAX;
 /// A new surface is at least so large, m²: a level one, and an upright one.
@@ -87,6 +96,7 @@ impl SurfaceEstimate {
 pub struct EnvironmentModel {
     camera: PinholeCamera,
     surfaces: Vec<Surface>,
+    grid: Grid,
     last_ns: Option<u64>,
     /// What was told last of each surface, by its name, and when, ns.
     told: BTreeMap<String, (SurfaceEstimate, u64)>,
@@ -95,12 +105,13 @@ pub struct EnvironmentModel {
 impl EnvironmentModel {
     /// A model for depth images of this camera, of which nothing is known.
     pub fn new(camera: PinholeCamera) -> Self {
-        Self { camera, surfaces: Vec::new(), last_ns: None, told: BTreeMap::new() }
+        Self { camera, surfaces: Vec::new(), grid: Grid::default(), last_ns: None, told: BTreeMap::new() }
     }
 
-    /// The same model with what is remembered of surfaces from before. One whose numbers are not usable is left out.
+    /// The same model with what is remembered from before. A surface whose numbers are not usable is left out.
     #[must_use]
-    pub fn remembering(mut self, known: Vec<SurfaceEstimate>) -> Self {
+    pub fn remembering(mut self, known: Vec<SurfaceEstimate>, bulks: Vec<BulkEstimate>) -> Self {
+        self.grid = Grid::remembering(bulks);
         for surface in known.into_iter().take(MAX_SURFACES) {
             let SurfaceEstimate { root_from_surface: pose, size, covariance, probability, .. } = &surface;
             if let Some(mut one) = Surface::remembered(pose, *size, covariance, *probability) {
@@ -111,8 +122,9 @@ impl EnvironmentModel {
         self
     }
 
-    /// Takes over what a frame shows. Returns whether it had a depth image of the camera's size.
-    pub fn update(&mut self, frame: &StereoFrame) -> bool {
+    /// Takes over what a frame shows, in which the robot's own body is where `own` says. Returns whether it had a depth image of the camera's
+    /// size.
+    pub fn update(&mut self, frame: &StereoFrame, own: &[OwnPart]) -> bool {
         let Some(depth) = frame.depth.as_ref().and_then(|depth| self.camera.usable(depth)) else {
             return false;
         };
@@ -136,6 +148,12 @@ impl EnvironmentModel {
             let normal = surface.normal();
             surface.look(|place| view.shows(place, i, &normal));
         }
+        self.grid.look(&self.solid(&view.seen, own), |place| {
+            match self.surfaces.iter().any(|of| of.is_near(place)) {
+                true => Visibility::Through,
+                false => view.behind(place, grid::EDGE),
+            }
+        });
         self.merge();
         self.surfaces.retain(|surface| surface.probability() >= FORGOTTEN);
         true
@@ -153,6 +171,28 @@ impl EnvironmentModel {
             if of.next().is_some() { Some(NOBODY) } else { first }
         };
         seen.points.iter().map(of).collect()
+    }
+
+    /// The points of something solid that no surface explains, nor the robot's own body, nor a thing that stands on furniture.
+    fn solid(&self, seen: &DepthPoints, own: &[OwnPart]) -> Vec<Point3<f64>> {
+        let is_furniture =
+            |of: &Surface| of.normal().z > 0.5 && of.places().next().is_some_and(|at| at.z > FLOOR);
+        let surfaces: Vec<_> = self.surfaces.iter().map(|of| (of, is_furniture(of))).collect();
+        let explains = |point: &DepthPoint| {
+            surfaces.iter().any(|(of, is_furniture)| {
+                let (over, near) = (of.above(&point.at), MAY_BE_OF.0 * point.scale());
+                let on_it = *is_furniture && (0.0..SHELF).contains(&over);
+                (over.abs() < near || on_it) && of.reaches(&point.at, GROWS)
+            })
+        };
+        let is_own = |point: &DepthPoint| own.iter().any(|part| part.distance(&point.at) < MAY_BE_OF.1);
+        let near = seen.points.iter().filter(|point| f64::from(point.depth) < SOLID);
+        near.filter(|point| !explains(point) && !is_own(point)).map(|point| point.at).collect()
+    }
+
+    /// What is solid and no surface, as boxes around it; one that is no longer there is told for two more seconds, with the probability 0.
+    pub fn bulks(&mut self) -> Vec<BulkEstimate> {
+        self.grid.bulks(self.last_ns.unwrap_or_default())
     }
 
     /// What a known surface reaches from point to point, beyond its cells, is its own, too. Else a part of a wall that comes into view at
@@ -328,17 +368,26 @@ struct View<'f> {
 }
 
 impl View<'_> {
-    /// What is seen at a place of a surface with this normal, both in the root frame. What another surface explains says nothing for this one.
-    fn shows(&self, place: &Point3<f64>, surface: usize, normal: &Vector3<f64>) -> Visibility {
+    /// A place in the left camera's frame, where it is in the picture, px, and the depth that is measured there, m.
+    fn measured(&self, place: &Point3<f64>) -> Option<(Point3<f64>, Point2<f64>, f64)> {
         let in_left = self.root_from_left.inverse_transform_point(place);
-        let Some(px) = self.camera.project(&in_left).filter(|px| px.x >= 0.0 && px.y >= 0.0) else {
-            return Visibility::Unknown;
-        };
+        let px = self.camera.project(&in_left).filter(|px| px.x >= 0.0 && px.y >= 0.0)?;
         // No measurement is 0, as outside of the picture.
         let measured = f64::from(self.depth.at(px.x.round() as u32, px.y.round() as u32));
-        if !(measured > 0.0 && measured.is_finite()) {
-            return Visibility::Unknown;
+        (measured > 0.0 && measured.is_finite()).then_some((in_left, px, measured))
+    }
+
+    /// Whether something is measured more than `by` m behind a place.
+    fn behind(&self, place: &Point3<f64>, by: f64) -> Visibility {
+        match self.measured(place) {
+            Some((in_left, _, measured)) if measured > in_left.z + by => Visibility::Through,
+            _ => Visibility::Unknown,
         }
+    }
+
+    /// What is seen at a place of a surface with this normal, both in the root frame. What another surface explains says nothing for this one.
+    fn shows(&self, place: &Point3<f64>, surface: usize, normal: &Vector3<f64>) -> Visibility {
+        let Some((in_left, px, measured)) = self.measured(place) else { return Visibility::Unknown };
         let across = normal.dot(&(self.root_from_left.rotation * in_left.coords)).abs() / in_left.z;
         let behind = (measured - in_left.z) * across;
         let band = BAND * uncertainty(in_left.z);

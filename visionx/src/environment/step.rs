@@ -3,10 +3,11 @@
 use armarium_values::Observation;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
-use super::{EnvironmentModel, SurfaceEstimate};
+use super::{BulkEstimate, EnvironmentModel, SurfaceEstimate};
 use crate::annotate;
 use crate::camera::PinholeCamera;
 use crate::frame::{RgbImage, StereoFrame};
+use crate::own_part::OwnPart;
 use crate::providers::RawFrame;
 use crate::steps::{ENVIRONMENT, StereoStep, TABLE, posed};
 use crate::tabletop::TabletopSegmentation;
@@ -17,13 +18,29 @@ pub struct EnvironmentStep {
     model: EnvironmentModel,
     camera: PinholeCamera,
     root_from_left: Isometry3<f64>,
+    own: Box<dyn Fn(u64) -> Vec<OwnPart> + Send>,
     last: Vec<SurfaceEstimate>,
+    bulks: Vec<BulkEstimate>,
 }
 
 impl EnvironmentStep {
     /// The step around a model, for frames of this camera.
     pub fn new(model: EnvironmentModel, camera: PinholeCamera) -> Self {
-        Self { model, camera, root_from_left: Isometry3::identity(), last: Vec::new() }
+        let own = Box::new(|_| Vec::new());
+        Self {
+            model,
+            camera,
+            root_from_left: Isometry3::identity(),
+            own,
+            last: Vec::new(),
+            bulks: Vec::new(),
+        }
+    }
+
+    /// The same for a robot that sees itself; `own` says where the parts of its body were at a time (ns).
+    #[must_use]
+    pub fn without(self, own: impl Fn(u64) -> Vec<OwnPart> + Send + 'static) -> Self {
+        Self { own: Box::new(own), ..self }
     }
 }
 
@@ -38,9 +55,11 @@ impl StereoStep for EnvironmentStep {
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
         self.root_from_left = frame.root_from_left;
-        self.model.update(frame);
+        self.model.update(frame, &(self.own)(frame.stamp_ns));
         self.last = self.model.surfaces();
-        self.last.iter().map(|surface| surface_seen(surface, frame.stamp_ns)).collect()
+        self.bulks = self.model.bulks();
+        let surfaces = self.last.iter().map(|surface| surface_seen(surface, frame.stamp_ns));
+        surfaces.chain(self.bulks.iter().map(|bulk| bulk_seen(bulk, frame.stamp_ns))).collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {
@@ -70,4 +89,11 @@ fn surface_seen(surface: &SurfaceEstimate, stamp_ns: u64) -> Observation {
         .with_confidence(surface.probability)
         .with("size", [surface.size[0], surface.size[1], 0.0])
         .with("plane_covariance", surface.covariance.transpose().as_slice().to_vec())
+}
+
+fn bulk_seen(bulk: &BulkEstimate, stamp_ns: u64) -> Observation {
+    posed((ENVIRONMENT, BulkEstimate::CLASS), stamp_ns, &bulk.root_from_box, &bulk.covariance)
+        .named(&bulk.name)
+        .with_confidence(bulk.probability)
+        .with("size", bulk.size.as_slice().to_vec())
 }

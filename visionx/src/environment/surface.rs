@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 
+use super::grid::EDGE;
 use crate::plane::Plane;
 use crate::points::DepthPoint;
 use crate::rectangle::Rectangle;
@@ -170,6 +171,11 @@ impl Surface {
             let cell = [x.saturating_add(i), y.saturating_add(j)];
             self.cells.get(&cell).is_some_and(|odds| *odds > 0.0)
         })
+    }
+
+    /// Whether a place is so near to it that a cell of the grid there has its points.
+    pub(super) fn is_near(&self, place: &Point3<f64>) -> bool {
+        self.above(place).abs() < EDGE / 2.0 && self.reaches(place, 1)
     }
 
     /// The places of its cells, root frame, m.

@@ -1,5 +1,7 @@
+use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
+use armarium_values::distance_from_box;
 use armarium_values::random::StandardNormal;
 use nalgebra::{Translation3, UnitQuaternion};
 use rand::{RngExt, SeedableRng};
@@ -46,7 +48,7 @@ fn turned_frames(things: &[Thing], (left, up): (f64, f64), from: u64, count: u64
 }
 
 fn seen(model: &mut EnvironmentModel, frames: &[StereoFrame]) -> Vec<SurfaceEstimate> {
-    frames.iter().for_each(|frame| assert!(model.update(frame)));
+    frames.iter().for_each(|frame| assert!(model.update(frame, &[])));
     model.surfaces()
 }
 
@@ -69,7 +71,7 @@ fn a_table_is_known_once_with_its_height_and_tilt() {
     assert!(table.probability > 0.99 && table.name == "table");
     let sigma = table.covariance[(0, 0)].sqrt();
     assert!((1e-4..2e-3).contains(&sigma), "{sigma}");
-    assert!(!model.update(&StereoFrame { depth: None, ..frames(&[], 30, 1).swap_remove(0) }));
+    assert!(!model.update(&StereoFrame { depth: None, ..frames(&[], 30, 1).swap_remove(0) }, &[]));
 }
 
 #[test]
@@ -120,7 +122,7 @@ fn what_is_remembered_is_found_again_under_its_name() {
         ..known[0].clone()
     };
     known.extend([nowhere, floating]);
-    let mut again = EnvironmentModel::new(CALIBRATION.camera).remembering(known);
+    let mut again = EnvironmentModel::new(CALIBRATION.camera).remembering(known, Vec::new());
     let surfaces = seen(&mut again, &frames(&[table([150, 115, 80])], 1000, 20));
     let there: Vec<_> = surfaces.iter().filter(|s| s.probability > 0.5).collect();
     assert_eq!(there.len(), 1, "{there:?}");
@@ -154,4 +156,49 @@ fn parts_of_the_floor_beside_something_are_one_floor() {
     }
     let floor = one(&surfaces, "floor");
     assert!(floor.size[0] > 2.5, "{floor:?}");
+}
+
+#[test]
+fn what_is_solid_and_no_surface_is_a_bulk_until_it_is_gone() {
+    let ball = Thing::Ball { center: Point3::new(-0.2, 1.2, 0.9), radius: 0.25, color: [60, 120, 60] };
+    let things = |with: bool| -> Vec<Thing> {
+        let room = [table([150, 115, 80]), block(0.0, 1.0, 0.0, [4.0, 4.0, 0.1])];
+        room.into_iter().chain(with.then(|| ball.clone())).collect()
+    };
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    let view = (0.3, 0.1);
+    seen(&mut model, &turned_frames(&things(true), view, 0, 20));
+    let bulks = model.bulks();
+    assert_eq!(bulks.len(), 1, "{bulks:?}");
+    // Only what faces the eye, above the table's edge, is seen.
+    let off = distance_from_box(&Point3::new(-0.2, 1.2, 0.9), &bulks[0].root_from_box, &bulks[0].size);
+    assert!(off < 0.15, "{off} {bulks:?}");
+    assert!(bulks[0].size.iter().all(|edge| (0.2..=0.7).contains(edge)), "{:?}", bulks[0].size);
+    assert!(bulks[0].probability > 0.85 && bulks[0].name == "bulk");
+
+    let mut again = EnvironmentModel::new(CALIBRATION.camera).remembering(Vec::new(), bulks);
+    seen(&mut again, &turned_frames(&things(false), view, 20, 45));
+    assert!(again.bulks().iter().all(|bulk| bulk.probability == 0.0), "it fades in 3 s");
+
+    // In a robot that has turned since, it is where it was.
+    let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2);
+    let root_from_box = Isometry3::from_parts(Vector3::new(-1.0, 0.25, 0.8).into(), quarter);
+    let before = BulkEstimate {
+        name: "bulk_3".into(),
+        root_from_box,
+        size: Vector3::new(0.6, 0.2, 0.4),
+        covariance: Matrix3::identity(),
+        probability: 0.9,
+    };
+    let turned = EnvironmentModel::new(CALIBRATION.camera).remembering(Vec::new(), vec![before]).bulks();
+    assert_eq!(turned[0].name, "bulk_3");
+    assert!((turned[0].size - Vector3::new(0.2, 0.6, 0.4)).norm() < 1e-9, "{turned:?}");
+    let moved = turned[0].root_from_box.translation.vector - Vector3::new(-1.0, 0.25, 0.8);
+    assert!(moved.norm() < 0.09, "{moved}");
+
+    // The robot's own body is none.
+    let own = OwnPart { root_from_box: Isometry3::translation(-0.2, 1.2, 0.9), size: Vector3::repeat(0.5) };
+    let mut model = EnvironmentModel::new(CALIBRATION.camera);
+    turned_frames(&things(true), view, 0, 20).iter().for_each(|frame| assert!(model.update(frame, &[own])));
+    assert_eq!(model.bulks(), []);
 }
