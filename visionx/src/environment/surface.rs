@@ -19,6 +19,8 @@ const NOISE: f64 = 0.003;
 const POSE: (f64, f64) = (0.003, 0.003);
 /// How long what was measured counts, s of seeing the surface.
 const KEPT_S: f64 = 10.0;
+/// Points in so narrow a strip that their plane's slopes have a larger standard deviation than this, rad, say nothing of it.
+const NARROW: f64 = 0.5;
 /// How certain a new cell is, what a look at it adds or takes away, and between what it stays; logarithms of odds.
 const CELL_NEW: f32 = 0.4;
 const CELL_LOOK: (f32, f32) = (0.5, -0.25);
@@ -118,7 +120,11 @@ impl Surface {
         // All points of one picture share the error of where the camera was.
         let (across, tilt) = POSE;
         let pose = Matrix3::from_diagonal(&Vector3::new(across * across, tilt * tilt, tilt * tilt));
-        let Some(covariance) = information.try_inverse().map(|noise| noise + pose) else { return };
+        let Some(noise) = information.try_inverse() else { return };
+        if !(noise[(1, 1)].max(noise[(2, 2)]) < NARROW * NARROW) {
+            return;
+        }
+        let covariance = noise + pose;
         let Some(information) = covariance.try_inverse() else { return };
         let kept = libm::exp(-dt / KEPT_S);
         let information = self.information * kept + information;
@@ -263,4 +269,26 @@ fn cell_of(at: &Point2<f64>) -> Option<[i16; 2]> {
 fn in_anchor(plane: &Vector3<f64>, [i, j]: &[i16; 2]) -> Point3<f64> {
     let (x, y) = (f64::from(*i) * CELL, f64::from(*j) * CELL);
     Point3::new(x, y, plane.x + plane.y * x + plane.z * y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_seen_of_a_surface_in_a_narrow_strip_does_not_turn_it() {
+        let covariance = Matrix3::identity() * 1e-6;
+        let level = Isometry3::translation(0.0, 0.6, 0.9);
+        let mut surface = Surface::remembered(&level, [0.8, 0.6], &covariance, 0.9).unwrap();
+        let strip = |n: usize| {
+            let (x, y) = (0.01 * n as f64 - 0.3, 0.6 + 1e-9 * (n % 3) as f64);
+            let at = Point3::new(x, y, 0.9 + 0.002 * (n % 5) as f64);
+            DepthPoint { place: n, depth: 1.0, at }
+        };
+        let strip: Vec<_> = (0..60).map(strip).collect();
+        for _ in 0..100 {
+            surface.measure(strip.iter(), 1.0);
+        }
+        assert!(surface.normal().angle(&Vector3::z()) < 0.02, "{}", surface.normal());
+    }
 }
