@@ -53,6 +53,7 @@ pub mod segmentation;
 mod sight;
 mod steps;
 mod tabletop;
+mod tabletop_step;
 mod touch;
 pub mod tracking;
 
@@ -78,6 +79,7 @@ pub use processor::{
 pub use providers::rectify::Rectification;
 pub use sight::{Sight, Sighting};
 pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep};
-pub use tabletop::{FloorStep, TableEstimate, TableObject, Tabletop, TabletopSegmentation, TabletopStep};
+pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
+pub use tabletop_step::{FloorStep, TabletopStep};
 pub use touch::{OwnFinger, OwnHand, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

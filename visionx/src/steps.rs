@@ -15,7 +15,7 @@ use crate::localizer::{ObjectEstimate, ObjectLocalizer};
 use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
 use crate::processor::{ImageProcessor, Seen};
 use crate::providers::{RawFrame, StereoPair};
-use crate::tabletop::{TableEstimate, Tabletop, TabletopSegmentation, level_seen};
+use crate::tabletop::{TableEstimate, Tabletop, TabletopSegmentation};
 use crate::tracking::hand::{Gesture, GestureOverTime, HandObservation, HandObserver, ShownGesture};
 use crate::tracking::{FingerTipTracking, TrackedFingertip};
 
@@ -192,6 +192,13 @@ fn in_camera(point: &Point3<f64>, covariance: &Matrix3<f64>) -> ObservedPlace {
 
 fn vector(v: Vector3<f64>) -> Value {
     Value::Vector(Vector::new(Frame::from(CAMERA), &v))
+}
+
+/// A level surface as it is observed, of this class.
+pub(crate) fn level_seen(class: &str, surface: &TableEstimate, stamp_ns: u64) -> Observation {
+    let covariance = Matrix3::identity() * TABLE;
+    posed((ENVIRONMENT, class), stamp_ns, &surface.root_from_table, &covariance)
+        .with("size", [surface.size[0], surface.size[1], 0.0])
 }
 
 /// What has a pose in the root frame, where its place has this covariance, m².

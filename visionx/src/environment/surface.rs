@@ -121,7 +121,8 @@ impl Surface {
         let (across, tilt) = POSE;
         let pose = Matrix3::from_diagonal(&Vector3::new(across * across, tilt * tilt, tilt * tilt));
         let Some(noise) = information.try_inverse() else { return };
-        if !(noise[(1, 1)].max(noise[(2, 2)]) < NARROW * NARROW) {
+        let tells_slopes = [noise[(1, 1)], noise[(2, 2)]].iter().all(|v| *v < NARROW * NARROW);
+        if !tells_slopes {
             return;
         }
         let covariance = noise + pose;

@@ -3,8 +3,6 @@
 //! No object models are needed: an object is the bounding box of its visible part, down to the table. Objects cut by
 //! the image's border, such as an arm that reaches in, are left out. Without a depth image nothing is found.
 
-mod step;
-
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
 use crate::camera::PinholeCamera;
@@ -14,8 +12,6 @@ use crate::plane::{Plane, upwards};
 use crate::points::{DepthPoint, DepthPoints};
 use crate::providers::{PixelFormat, RawFrame};
 use crate::rectangle::Rectangle;
-pub(crate) use step::level_seen;
-pub use step::{FloorStep, TabletopStep};
 
 /// Rounding of a footprint's points in the search of its smallest rectangle, m.
 const CELL: f64 = 0.0002;

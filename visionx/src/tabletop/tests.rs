@@ -10,6 +10,7 @@ use crate::processor::ImageProcessor;
 use crate::providers::{ProviderDescription, RawImage, StereoPair, frame_of};
 use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
 use crate::steps::OfStereo;
+use crate::tabletop_step::TabletopStep;
 
 const TOP: f64 = 0.90;
 

@@ -1,14 +1,13 @@
 //! The table with what is on it, and the floor, as processing steps: what one picture shows by itself.
 
 use armarium_values::Observation;
-use nalgebra::Matrix3;
 
-use super::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 use crate::annotate;
 use crate::camera::PinholeCamera;
 use crate::frame::{RgbImage, StereoFrame};
 use crate::providers::RawFrame;
-use crate::steps::{ENVIRONMENT, OBJECTS, StereoStep, TABLE, posed};
+use crate::steps::{OBJECTS, StereoStep, level_seen, posed};
+use crate::tabletop::{TableObject, Tabletop, TabletopSegmentation};
 
 /// Confidence of an object on a table after one observation.
 const THING: f64 = 0.8;
@@ -81,13 +80,6 @@ impl StereoStep for FloorStep {
     }
 
     fn draw(&self, _image: &mut RgbImage) {}
-}
-
-/// A level surface as it is observed, of this class.
-pub(crate) fn level_seen(class: &str, surface: &TableEstimate, stamp_ns: u64) -> Observation {
-    let covariance = Matrix3::identity() * TABLE;
-    posed((ENVIRONMENT, class), stamp_ns, &surface.root_from_table, &covariance)
-        .with("size", [surface.size[0], surface.size[1], 0.0])
 }
 
 fn thing(object: &TableObject, stamp_ns: u64) -> Observation {
