@@ -1,5 +1,5 @@
-//! The probe `environment`: what the robot's memory knows of the surfaces around it, against where they are, and how long it took to
-//! notice that one had moved away.
+//! The probe `environment`: what the robot's memory knows of the surfaces and bulks around it, against where they are, and how long it took
+//! to notice that a surface had moved away.
 
 use armarium_values::distance_from_box;
 use armarium_values::report::Requirement::{AtMost, Shown};

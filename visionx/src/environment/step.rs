@@ -12,29 +12,21 @@ use crate::providers::RawFrame;
 use crate::steps::{ENVIRONMENT, StereoStep, TABLE, posed};
 use crate::tabletop::TabletopSegmentation;
 
-/// Tables, shelves, walls and the floor, fused over time, as `EnvironmentModels`. A surface that is no longer there is told for some
-/// time more, with the confidence 0.
+/// Tables, shelves, walls, the floor and bulks, fused over time, as `EnvironmentModels`. What is no longer there is told for some time
+/// more, with the confidence 0.
 pub struct EnvironmentStep {
     model: EnvironmentModel,
     camera: PinholeCamera,
     root_from_left: Isometry3<f64>,
     own: Box<dyn Fn(u64) -> Vec<OwnPart> + Send>,
     last: Vec<SurfaceEstimate>,
-    bulks: Vec<BulkEstimate>,
 }
 
 impl EnvironmentStep {
     /// The step around a model, for frames of this camera.
     pub fn new(model: EnvironmentModel, camera: PinholeCamera) -> Self {
         let own = Box::new(|_| Vec::new());
-        Self {
-            model,
-            camera,
-            root_from_left: Isometry3::identity(),
-            own,
-            last: Vec::new(),
-            bulks: Vec::new(),
-        }
+        Self { model, camera, root_from_left: Isometry3::identity(), own, last: Vec::new() }
     }
 
     /// The same for a robot that sees itself; `own` says where the parts of its body were at a time (ns).
@@ -57,9 +49,9 @@ impl StereoStep for EnvironmentStep {
         self.root_from_left = frame.root_from_left;
         self.model.update(frame, &(self.own)(frame.stamp_ns));
         self.last = self.model.surfaces();
-        self.bulks = self.model.bulks();
+        let bulks = self.model.bulks();
         let surfaces = self.last.iter().map(|surface| surface_seen(surface, frame.stamp_ns));
-        surfaces.chain(self.bulks.iter().map(|bulk| bulk_seen(bulk, frame.stamp_ns))).collect()
+        surfaces.chain(bulks.iter().map(|bulk| bulk_seen(bulk, frame.stamp_ns))).collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {
