@@ -19,8 +19,8 @@ const NOISE: f64 = 0.003;
 const POSE: (f64, f64) = (0.003, 0.003);
 /// How long what was measured counts, s of seeing the surface.
 const KEPT_S: f64 = 10.0;
-/// Points in so narrow a strip that their plane's slopes have a larger standard deviation than this, rad, say nothing of it.
-const NARROW: f64 = 0.5;
+/// Standard deviations of a plane of which nothing is known: of its height at the anchor, m, and of its slopes.
+const UNTOLD: (f64, f64) = (1.0, 0.5);
 /// How certain a new cell is, what a look at it adds or takes away, and between what it stays; logarithms of odds.
 const CELL_NEW: f32 = 0.4;
 const CELL_LOOK: (f32, f32) = (0.5, -0.25);
@@ -76,7 +76,7 @@ impl Surface {
 
     fn at(root_from_anchor: Isometry3<f64>) -> Self {
         let anchor_from_root = root_from_anchor.inverse();
-        let (information, weighted, plane) = (Matrix3::zeros(), Vector3::zeros(), Vector3::zeros());
+        let (information, weighted, plane) = (untold(), Vector3::zeros(), Vector3::zeros());
         let (name, cells, existence) = (None, BTreeMap::new(), 0.0);
         Self { name, root_from_anchor, anchor_from_root, information, weighted, plane, cells, existence }
     }
@@ -116,20 +116,15 @@ impl Surface {
                 self.cells.entry(cell).or_insert(CELL_NEW);
             }
         }
-        let Some(measured) = information.cholesky().map(|known| known.solve(&weighted)) else { return };
-        // All points of one picture share the error of where the camera was.
+        // All points of one picture share the error of where the camera was. With its inverse P, what the picture tells is
+        // P (I + P)⁻¹ I: no inverse of I, which a narrow strip leaves singular.
         let (across, tilt) = POSE;
-        let pose = Matrix3::from_diagonal(&Vector3::new(across * across, tilt * tilt, tilt * tilt));
-        let Some(noise) = information.try_inverse() else { return };
-        let tells_slopes = [noise[(1, 1)], noise[(2, 2)]].iter().all(|v| *v < NARROW * NARROW);
-        if !tells_slopes {
-            return;
-        }
-        let covariance = noise + pose;
-        let Some(information) = covariance.try_inverse() else { return };
+        let pose = Matrix3::from_diagonal(&Vector3::new(across, tilt, tilt).map(|sd| sd.powi(-2)));
+        let Some(shared) = (information + pose).cholesky().map(|sum| pose * sum.inverse()) else { return };
         let kept = libm::exp(-dt / KEPT_S);
-        let information = self.information * kept + information;
-        let weighted = self.weighted * kept + (information - self.information * kept) * measured;
+        let information = self.information * kept + shared * information + untold() * (1.0 - kept);
+        let information = (information + information.transpose()) * 0.5;
+        let weighted = self.weighted * kept + shared * weighted;
         if let Some(known) = information.cholesky() {
             (self.plane, self.information, self.weighted) = (known.solve(&weighted), information, weighted);
         }
@@ -261,6 +256,12 @@ impl Surface {
 /// The share of a surface's cells that its rectangle leaves out at each side.
 const STRAYS: f64 = 0.01;
 
+/// The information about a plane of which nothing is known.
+fn untold() -> Matrix3<f64> {
+    let (height, slope) = UNTOLD;
+    Matrix3::from_diagonal(&Vector3::new(height, slope, slope).map(|sd| sd.powi(-2)))
+}
+
 fn cell_of(at: &Point2<f64>) -> Option<[i16; 2]> {
     let cell = [at.x, at.y].map(|v| (v / CELL).round());
     cell.iter().all(|v| v.abs() < f64::from(i16::MAX / 2)).then(|| cell.map(|v| v as i16))
@@ -277,19 +278,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_seen_of_a_surface_in_a_narrow_strip_does_not_turn_it() {
-        let covariance = Matrix3::identity() * 1e-6;
-        let level = Isometry3::translation(0.0, 0.6, 0.9);
-        let mut surface = Surface::remembered(&level, [0.8, 0.6], &covariance, 0.9).unwrap();
-        let strip = |n: usize| {
-            let (x, y) = (0.01 * n as f64 - 0.3, 0.6 + 1e-9 * (n % 3) as f64);
-            let at = Point3::new(x, y, 0.9 + 0.002 * (n % 5) as f64);
-            DepthPoint { place: n, depth: 1.0, at }
-        };
-        let strip: Vec<_> = (0..60).map(strip).collect();
-        for _ in 0..100 {
-            surface.measure(strip.iter(), 1.0);
+    fn a_surface_that_is_seen_as_a_narrow_strip_is_not_turned_by_its_noise() {
+        let level =
+            Plane { middle: Point3::new(0.0, 0.0, 0.9), axes: Rotation3::identity(), deviation: 0.003 };
+        for turned in 0..40 {
+            let (sin, cos) = libm::sincos(0.08 * f64::from(turned));
+            let mut surface = Surface::new(&level);
+            let point = |n: usize| {
+                let (along, across) = (0.01 * n as f64 - 0.3, 3e-8 * (n * 7 % 5) as f64);
+                let (x, y) = (0.6 + along * cos - across * sin, 0.9 + along * sin + across * cos);
+                DepthPoint { place: n, depth: 1.0, at: Point3::new(x, y, 0.9 + 0.002 * (n % 5) as f64) }
+            };
+            let strip: Vec<_> = (0..60).map(point).collect();
+            for _ in 0..20 {
+                surface.measure(strip.iter(), 0.07);
+            }
+            assert!(surface.normal().angle(&Vector3::z()) < 0.02, "{turned}: {}", surface.normal());
         }
-        assert!(surface.normal().angle(&Vector3::z()) < 0.02, "{}", surface.normal());
     }
 }
