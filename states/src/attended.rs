@@ -10,7 +10,7 @@ use armarium_memoryx::{EntityId, Memory, Query, Snapshot};
 use armarium_runtime::attention::Need;
 use armarium_runtime::observed::MemoryPattern;
 use armarium_runtime::skill::Failure;
-use armarium_values::Value;
+use armarium_values::{Pose, Value};
 use nalgebra::Point3;
 
 use crate::arm::seconds;
@@ -18,8 +18,12 @@ use crate::inputs::{as_point, as_pose, entity_of, pattern_of};
 use crate::motions::{self, failed};
 use crate::places::Remembered;
 
-/// How fast the place of a thing becomes uncertain that nobody looks at, m/√s: somebody may move it.
+/// How fast the place of a thing becomes uncertain that nobody looks at, m/√s: somebody may move it. At least so fast, and as fast as it
+/// has moved of late.
 const THING_DRIFT: f64 = 0.02;
+/// How long what it did counts, s, and how far apart the sights are that are compared, s.
+const OF_LATE: f64 = 5.0;
+const COMPARED: f64 = 0.5;
 /// The same for people, who move all the time.
 const PEOPLE_DRIFT: f64 = 0.2;
 /// Standard deviation of what happens at a place where anybody may come at any time, m.
@@ -66,6 +70,34 @@ pub(crate) struct AttendedPlaces {
     motions: BTreeMap<EntityId, Point3<f64>>,
     /// Where each thing was when it last moved or appeared, and when that was, ns.
     moved: BTreeMap<EntityId, (Point3<f64>, u64)>,
+    /// Where things were that were needed and in memory, as they are needed after memory has given them up.
+    known: BTreeMap<EntityId, AttendedPlace>,
+    /// How fast each thing has moved of late.
+    restless: BTreeMap<EntityId, Restless>,
+}
+
+/// How fast a thing moves, as its sights tell.
+struct Restless {
+    /// The pose at the last sight that was compared, in the frame in which memory holds it, and when that was, ns.
+    pose: Pose,
+    seen_ns: u64,
+    /// Variance that its place gains in a second, m²/s.
+    rate: f64,
+}
+
+impl Restless {
+    /// Takes over a sight.
+    fn see(&mut self, pose: &Pose, seen_ns: u64) {
+        let dt = seconds(self.seen_ns, seen_ns);
+        if dt < COMPARED {
+            return;
+        }
+        if pose.frame == self.pose.frame {
+            let way = (pose.isometry().translation.vector - self.pose.isometry().translation.vector).norm();
+            self.rate += (way * way / dt - self.rate) * (1.0 - libm::exp(-dt / OF_LATE));
+        }
+        (self.pose, self.seen_ns) = (pose.clone(), seen_ns);
+    }
 }
 
 impl AttendedPlaces {
@@ -106,14 +138,22 @@ impl AttendedPlaces {
                 let place = self.middle(memory, &id).await?;
                 return Ok(vec![somewhere(id.entity().to_owned(), place)]);
             }
-            Value::Reference(reference) => match memory.latest(&entity_of(reference)?).await {
-                Ok(known) => vec![known],
-                Err(_) => Vec::new(),
-            },
+            Value::Reference(reference) => {
+                let id = entity_of(reference)?;
+                let Ok(known) = memory.latest(&id).await else {
+                    // Memory has given it up: it may be near the place where it was.
+                    return Ok(self.known.get(&id).cloned().into_iter().collect());
+                };
+                let seen = self.seen(remembered, &known, now_ns);
+                if let Some(seen) = &seen {
+                    self.known.insert(id, AttendedPlace { deviation: ANYBODY, ..seen.clone() });
+                }
+                return Ok(seen.into_iter().collect());
+            }
             Value::String(text) => named(memory, text).await?,
             _ => Vec::new(),
         };
-        Ok(known.iter().filter_map(|thing| seen(remembered, thing, now_ns)).collect())
+        Ok(known.iter().filter_map(|thing| self.seen(remembered, thing, now_ns)).collect())
     }
 
     async fn middle(&mut self, memory: &dyn Memory, id: &EntityId) -> Result<Point3<f64>, Failure> {
@@ -136,12 +176,14 @@ impl AttendedPlaces {
         let mut found = Vec::new();
         for segment in PEOPLE {
             let people = remembered.memory.segment(segment).await.map_err(failed)?;
-            found.extend(people.iter().filter_map(|person| seen(remembered, person, now_ns)));
+            found.extend(people.iter().filter_map(|person| self.seen(remembered, person, now_ns)));
         }
         let things = remembered.memory.segment(THINGS).await.map_err(failed)?;
-        self.moved.retain(|id, _| things.iter().any(|thing| thing.id == *id));
+        let is_known = |id: &EntityId| things.iter().any(|thing| thing.id == *id);
+        self.moved.retain(|id, _| is_known(id));
+        self.restless.retain(|id, _| is_known(id));
         for thing in &things {
-            let Some(watched) = seen(remembered, thing, now_ns) else { continue };
+            let Some(watched) = self.seen(remembered, thing, now_ns) else { continue };
             let place = watched.place;
             let before = *self.moved.entry(thing.id.clone()).or_insert((place, thing.referenced_ns));
             let moved = (place - before.0).norm() > MOVED;
@@ -154,6 +196,40 @@ impl AttendedPlaces {
             }
         }
         Ok(found)
+    }
+
+    /// What memory knows of an entity, as a stimulus; `None` where it is not known where it is, and of what a hand carries: that is known by the
+    /// arm's joints.
+    fn seen(&mut self, remembered: Remembered<'_>, known: &Snapshot, now_ns: u64) -> Option<AttendedPlace> {
+        let instance = known.instance()?;
+        let age = seconds(known.referenced_ns, now_ns);
+        let is_person = PEOPLE.contains(&known.id.segment());
+        if (is_person && age > GONE_AFTER) || known.attribute("attached_to").is_some() {
+            self.restless.remove(&known.id);
+            return None;
+        }
+        let place = match is_person {
+            true => as_point(known.attribute("shown")?.get("seen_at")?)?,
+            false => Point3::from(remembered.root_pose(known)?.translation.vector),
+        };
+        let rows = instance.covariance.get("position").filter(|rows| rows.len() == 9);
+        let variance = rows.map_or(UNKNOWN * UNKNOWN, |rows| (rows[0] + rows[4] + rows[8]) / 3.0);
+        let drift = match (is_person, known.attribute("pose")) {
+            (false, Some(Value::Pose(pose))) => {
+                let sight = || Restless { pose: pose.clone(), seen_ns: known.referenced_ns, rate: 0.0 };
+                let restless = self.restless.entry(known.id.clone()).or_insert_with(sight);
+                restless.see(pose, known.referenced_ns);
+                restless.rate.max(THING_DRIFT * THING_DRIFT)
+            }
+            _ => PEOPLE_DRIFT * PEOPLE_DRIFT,
+        };
+        let class = known.attribute("class").and_then(Value::as_str).filter(|_| !is_person);
+        Some(AttendedPlace {
+            deviation: (variance + drift * age).sqrt(),
+            class: class.map(str::to_owned),
+            seen_ns: known.referenced_ns,
+            ..somewhere(known.id.entity().to_owned(), place)
+        })
     }
 }
 
@@ -176,31 +252,6 @@ fn add(all: &mut BTreeMap<String, AttendedPlace>, found: AttendedPlace, need: &N
 fn somewhere(name: String, place: Point3<f64>) -> AttendedPlace {
     let (deviation, within, weight) = (ANYBODY, STIMULUS_WITHIN, STIMULUS);
     AttendedPlace { name, place, deviation, within, weight, ..AttendedPlace::default() }
-}
-
-/// What memory knows of an entity, as a stimulus; `None` where it is not known where it is, and of what a hand carries: that is known by the
-/// arm's joints.
-fn seen(remembered: Remembered<'_>, known: &Snapshot, now_ns: u64) -> Option<AttendedPlace> {
-    let instance = known.instance()?;
-    let age = seconds(known.referenced_ns, now_ns);
-    let is_person = PEOPLE.contains(&known.id.segment());
-    if (is_person && age > GONE_AFTER) || known.attribute("attached_to").is_some() {
-        return None;
-    }
-    let place = match is_person {
-        true => as_point(known.attribute("shown")?.get("seen_at")?)?,
-        false => Point3::from(remembered.root_pose(known)?.translation.vector),
-    };
-    let rows = instance.covariance.get("position").filter(|rows| rows.len() == 9);
-    let variance = rows.map_or(UNKNOWN * UNKNOWN, |rows| (rows[0] + rows[4] + rows[8]) / 3.0);
-    let drift = if is_person { PEOPLE_DRIFT } else { THING_DRIFT };
-    let class = known.attribute("class").and_then(Value::as_str).filter(|_| !is_person);
-    Some(AttendedPlace {
-        deviation: (variance + drift * drift * age).sqrt(),
-        class: class.map(str::to_owned),
-        seen_ns: known.referenced_ns,
-        ..somewhere(known.id.entity().to_owned(), place)
-    })
 }
 
 /// What a text names: a pattern of memory, or the newest thing of a class.
@@ -280,6 +331,27 @@ mod tests {
         put(&memory, "ObjectInstances/me/cup", 15, held).await;
         let places = attended.watched(&[need(Value::from("cup"))], remembered, 15 * SECOND).await.unwrap();
         assert_eq!(places, []);
+    }
+
+    #[tokio::test]
+    async fn what_moves_again_and_again_becomes_uncertain_sooner_than_what_stands() {
+        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let remembered = Remembered { memory: &memory, transforms: &transforms };
+        let mut attended = AttendedPlaces::default();
+        let mut gained = BTreeMap::new();
+        for (way, from_s) in [(0.0, 10), (0.06, 30), (0.0, 50)] {
+            for at_s in from_s..from_s + 20 {
+                cup(&memory, at_s, 0.2 + way * (at_s % 2) as f64).await;
+                attended.watched(&[need(Value::from("cup"))], remembered, at_s * SECOND).await.unwrap();
+            }
+            let needs = [need(Value::from("cup"))];
+            let later = attended.watched(&needs, remembered, (from_s + 20) * SECOND).await.unwrap();
+            gained.insert(from_s, later[0].deviation);
+        }
+        let [stood, moved, stands] = [10, 30, 50].map(|from_s| gained[&from_s]);
+        assert!((stood - THING_DRIFT).abs() < 1e-3, "{stood}");
+        assert!((moved - 0.06).abs() < 2e-3, "6 cm in each second: {moved}");
+        assert!((stands - THING_DRIFT).abs() < 1e-3, "it stands again: {stands}");
     }
 
     #[tokio::test]

@@ -17,6 +17,7 @@ const HAND: &[&str] = &[
     "OpenHand",
     "CloseHand",
     "PlanGrasp",
+    "PlanPut",
     "VisualServoTowardsTargetPose",
     "BimanualVisualServo",
     "VerifyGrasp",

@@ -10,13 +10,15 @@ use nalgebra::{Isometry3, Translation3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
-use crate::grasp::{hand, held_in_tcp};
+use crate::grasp::{hand, held_in_tcp, towards_wrist};
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 use crate::skills::move_tcp::tolerances;
 
 /// How often memory is asked, s.
 const ASKED: f64 = 0.02;
+/// How long memory may know nothing of it, s.
+const LOST: f64 = 3.0;
 /// So exactly the thing's place is to be known, m.
 const WITHIN: f64 = 0.01;
 
@@ -33,10 +35,22 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         "Height of what the hand would hold over the thing's middle.",
     )
     .optional(
+        "back",
+        Type::quantity(Unit::M),
+        0.0,
+        "How far it stays back, from the fingers towards the wrist, so that it does not hide the thing.",
+    )
+    .optional(
         "grasp_pose",
         Type::Any,
         Value::Null,
-        "Pose of the TCP that grasps the thing where it is now; without it, the hand keeps its orientation.",
+        "Pose of the TCP that grasps the thing; without it, the hand keeps its orientation.",
+    )
+    .optional(
+        "object_pose",
+        Type::Any,
+        Value::Null,
+        "Pose of the thing for which `grasp_pose` is; without it, where it is when this begins.",
     )
     .optional("for", Type::Duration, 0.5, "How long the hand is to have rested there.")
     .optional("speed", Type::quantity(Unit::M_S), 0.15, "Largest speed.");
@@ -47,7 +61,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
             Type::Pose,
             "Pose of the TCP that grasps the thing where it is believed to be at the end.",
         )
-        .output("pre_pose", Type::Pose, "Pose of the TCP over it.")
+        .output("pre_pose", Type::Pose, "Pose of the TCP right over it.")
         .attends("object", WITHIN, 1.0)
         .mark(Mark::at_success("pre_pose_left"));
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
@@ -55,7 +69,10 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let id = context.entity("object")?;
-    let begin = place(&equipment, &id).await?;
+    let begin = match context.value("object_pose")? {
+        Value::Null => place(&equipment, &id).await?,
+        _ => context.pose("object_pose")?.translation.vector,
+    };
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let grasp = match context.value("grasp_pose")? {
@@ -67,31 +84,49 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         _ => context.pose("grasp_pose")?,
     };
     let above = Translation3::new(0.0, 0.0, context.number("height")?);
+    let back = towards_wrist(equipment.robot.model(), &arm.limb, &grasp.rotation) * context.number("back")?;
     let rests = context.number("for")?;
+    let (position, angle) = (context.number("position_tolerance")?, context.number("orientation_tolerance")?);
     let mut law = PositionServo::new(ServoConfig {
-        position_tolerance: context.number("position_tolerance")?,
-        rotation_tolerance: context.number("orientation_tolerance")?,
+        position_tolerance: position,
+        rotation_tolerance: angle,
         timeout: context.number("timeout")?,
         max_linear: context.number("speed")?,
-        hold_frames: (rests / ASKED).ceil() as u32,
-        // The thing may go away from the hand.
+        // When the hand has rested is judged here; the thing may go away from it.
+        hold_frames: u32::MAX,
         divergence: 1e9,
+        lost_after: LOST,
         ..ServoConfig::default()
     })
     .map_err(failed)?;
+    // Where the thing stands, and for how long it and the hand have rested, s.
+    let (mut stands, mut rested) = (begin, 0.0);
+    let mut there = grasp;
     let (mut waited, mut linear, mut angular) = (ASKED, Vector3::zeros(), Vector3::zeros());
     loop {
         let (sample, dt) = senses.next().await?;
         waited += dt;
         if waited >= ASKED {
-            let there = Translation3::from(place(&equipment, &id).await? - begin) * grasp;
-            let observation = ServoObservation { hand: arm.tcp(&sample), target: above * there };
-            let command = law.step(waited, Some(&observation)).map_err(failed)?;
+            // A thing of which memory knows nothing for a moment may be found again.
+            let known = place(&equipment, &id).await.ok();
+            there = known.map_or(there, |place| Translation3::from(place - begin) * grasp);
+            let hand = arm.tcp(&sample);
+            let target = Translation3::from(back) * above * there;
+            let observation = known.map(|_| ServoObservation { hand, target });
+            let command = law.step(waited, observation.as_ref()).map_err(failed)?;
+            let near = command.distance <= position && command.angle <= angle;
+            rested += waited;
+            if !known.is_some_and(|place| near && (place - stands).norm() < WITHIN) {
+                (stands, rested) = (known.unwrap_or(stands), 0.0);
+            }
+            if rested >= rests {
+                let done = Outcome::success().with("grasp_pose", pose_value(&there));
+                return Ok(done.with("pre_pose", pose_value(&(above * there))));
+            }
             match command.status {
-                ServoStatus::Running => {}
-                ServoStatus::Converged => {
-                    let done = Outcome::success().with("grasp_pose", pose_value(&there));
-                    return Ok(done.with("pre_pose", pose_value(&observation.target)));
+                ServoStatus::Running | ServoStatus::Converged => {}
+                _ if known.is_none() => {
+                    return Err(Failure::new(format!("memory has not known for some time where `{id}` is")));
                 }
                 _ => {
                     return Err(Failure::new(format!(

@@ -2,6 +2,7 @@
 
 mod approach_object;
 mod attach_object;
+mod attend_to;
 mod bimanual_servo;
 mod body_coaching;
 mod calibrate_hand_eye;
@@ -31,6 +32,7 @@ mod move_tcp_by;
 mod movement_imitation;
 mod open_hand;
 mod plan_grasp;
+mod plan_put;
 mod play_motion;
 mod push_object;
 mod put_down_together;
@@ -61,13 +63,13 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
     with_equipment![
         move_joints move_platform move_tcp move_tcp_by follow_object hold_still
         look_at look_around level_cameras model_environment
-        open_hand close_hand calibrate_hand_eye locate_object recall_object plan_grasp
+        open_hand close_hand calibrate_hand_eye locate_object recall_object plan_grasp plan_put
         approach_object visual_servo bimanual_servo
         tare reset_stop shape_hand weigh_hand verify_grasp attach_object
         movement_imitation imitate_motion recall_motion keep_motion
         force_adaptation execute_motion play_motion force_coaching force_guiding
         squeeze_together carry_together learn_together put_down_together
-        vision_coaching body_coaching gaze_selection
+        vision_coaching body_coaching gaze_selection attend_to
         segment_scene choose_push push_object learn_things recognize_things
     ]
 }

@@ -23,6 +23,8 @@ const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
 const MISALIGNMENT_COST: f64 = 1.0;
 /// A grasp with less margin than this to a joint limit is rejected, rad.
 const MIN_MARGIN: f64 = 0.03;
+/// The margin that is tried for then, rad.
+const FREE_MARGIN: f64 = 0.1;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
@@ -118,12 +120,28 @@ fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
 
 /// A grasp's margin to the joints' limits, rad; else its distance from the reachable space, m, which is 0 if only a joint limit is too
 /// near.
-fn margin(
+pub(super) fn margin(
+    arm: (&Arc<Model>, &[usize], LinkId, &[f64]),
+    poses: (&Isometry3<f64>, &Isometry3<f64>),
+    random: &mut ChaCha8Rng,
+) -> Result<f64, f64> {
+    // The nearest solution may stand at a limit from which another one is free.
+    let nearest = margin_beyond(PoseOptions::default().margin, arm, poses, random)?;
+    let margin = match nearest < MIN_MARGIN {
+        true => margin_beyond(FREE_MARGIN, arm, poses, random).map_err(|_| 0.0)?,
+        false => nearest,
+    };
+    Ok(margin)
+}
+
+/// The margin of what is found when each joint is to keep `least` rad from its limits.
+fn margin_beyond(
+    least: f64,
     (model, joints, tcp, ready): (&Arc<Model>, &[usize], LinkId, &[f64]),
     (grasp, pre): (&Isometry3<f64>, &Isometry3<f64>),
     random: &mut ChaCha8Rng,
 ) -> Result<f64, f64> {
-    let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
+    let options = PoseOptions { restarts: 3, margin: least, ..PoseOptions::default() };
     let mut solve = |target: &Isometry3<f64>, seed: &[f64]| {
         solve_pose(model, tcp, joints, target, seed, &options, random).map_err(|e| e.position_error_m)
     };
@@ -132,8 +150,7 @@ fn margin(
     let margin_of =
         |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
     let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
-    let margin = margins.fold(f64::INFINITY, f64::min);
-    if margin < MIN_MARGIN { Err(0.0) } else { Ok(margin) }
+    Ok(margins.fold(f64::INFINITY, f64::min))
 }
 
 #[cfg(test)]
