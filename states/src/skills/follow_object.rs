@@ -101,7 +101,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     .map_err(failed)?;
     // Where the thing stands, and for how long it and the hand have rested, s.
     let (mut stands, mut rested) = (begin, 0.0);
-    let mut there = grasp;
+    let (mut there, mut reached_for, mut random) = (grasp, None, equipment.random());
     let (mut waited, mut linear, mut angular) = (ASKED, Vector3::zeros(), Vector3::zeros());
     loop {
         let (sample, dt) = senses.next().await?;
@@ -112,6 +112,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             there = known.map_or(there, |place| Translation3::from(place - begin) * grasp);
             let hand = arm.tcp(&sample);
             let target = Translation3::from(back) * above * there;
+            let place = target.translation.vector;
+            if reached_for.is_none_or(|before: Vector3<f64>| (place - before).norm() > WITHIN) {
+                arm.pull_towards_pose(&sample, &target, &mut random);
+                reached_for = Some(place);
+            }
             let observation = known.map(|_| ServoObservation { hand, target });
             let command = law.step(waited, observation.as_ref()).map_err(failed)?;
             let near = command.distance <= position && command.angle <= angle;

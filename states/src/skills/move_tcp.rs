@@ -3,7 +3,7 @@
 use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::around::{Around, follow};
@@ -13,6 +13,9 @@ use crate::motions::failed;
 
 /// How near each joint comes to the end of a way around before the TCP goes straight to its target, rad.
 const NEAR_THE_GOAL: f64 = 0.02;
+
+/// A force that the guard does not let a hand come to, N.
+pub(crate) const NO_LIMIT: f64 = 1e3;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest =
@@ -42,6 +45,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         position: context.number("position_tolerance")?,
         angle: context.number("orientation_tolerance")?,
         timeout: context.number("timeout")?,
+        force: NO_LIMIT,
     };
     let speed = context.number("speed")?;
     let mut arm = LeasedArm::take(&equipment, &context, &[target]).await?;
@@ -62,6 +66,8 @@ pub(crate) struct PoseTolerance {
     pub(crate) angle: f64,
     /// Timeout, s.
     pub(crate) timeout: f64,
+    /// More force than this on the hand, beyond that at the start, ends the way, N.
+    pub(crate) force: f64,
 }
 
 /// Moves the TCP to `target` (root frame) on a straight line at `speed`, m/s. The outcome contains the final pose.
@@ -73,10 +79,20 @@ pub(crate) async fn move_to(
     reached: &PoseTolerance,
 ) -> SkillResult {
     let mut line = StraightLine::new(arm.tcp(&senses.newest()), target, speed).map_err(failed)?;
+    let feels = arm.limb.wrench.is_some();
+    let free = if feels { arm.force(&senses.newest())? } else { Vector3::zeros() };
     let mut elapsed = 0.0;
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
+        let force = if feels { (arm.force(&sample)? - free).norm() } else { 0.0 };
+        if force > reached.force {
+            arm.stand()?;
+            return Err(Failure::new(format!(
+                "the hand met something on its way: it felt {force:.0} N, and {:.0} N are allowed",
+                reached.force
+            )));
+        }
         let point = line.step(dt).map_err(failed)?;
         arm.track(&sample, &point.pose, point.linear, point.angular)?;
         let tcp = arm.tcp(&sample);

@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
-use crate::skills::move_tcp::{PoseTolerance, move_to};
+use crate::skills::move_tcp::{NO_LIMIT, PoseTolerance, move_to};
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -23,6 +23,12 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.")
     .optional("position_tolerance", Type::quantity(Unit::M), 0.01, "When the position counts as reached.")
     .optional("timeout", Type::Duration, 10.0, "Longest time it may take.")
+    .optional(
+        "force",
+        Type::quantity(Unit::N),
+        NO_LIMIT,
+        "More force than this on the hand, beyond that at the start, ends the way.",
+    )
     .output("tcp", Type::Pose, "Where the TCP is at the end.");
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
@@ -33,6 +39,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         position: context.number("position_tolerance")?,
         angle: 0.1,
         timeout: context.number("timeout")?,
+        force: context.number("force")?,
     };
     let speed = context.number("speed")?;
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
