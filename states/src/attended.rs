@@ -18,14 +18,14 @@ use crate::inputs::{as_point, as_pose, entity_of, pattern_of};
 use crate::motions::{self, failed};
 use crate::places::Remembered;
 
-/// How fast the place of a thing becomes uncertain that nobody looks at, m/√s: somebody may move it. At least so fast, and as fast as it
-/// has moved of late.
+/// How fast the place of a thing that nobody looks at becomes uncertain at least, m/√s: somebody may move it.
 const THING_DRIFT: f64 = 0.02;
-/// How long what it did counts, s, and how far apart the sights are that are compared, s.
-const OF_LATE: f64 = 5.0;
-const COMPARED: f64 = 0.5;
 /// The same for people, who move all the time.
 const PEOPLE_DRIFT: f64 = 0.2;
+/// How long it counts that a thing has moved, s.
+const OF_LATE: f64 = 5.0;
+/// Time between two sights of it that are compared, s.
+const COMPARED: f64 = 0.5;
 /// Standard deviation of what happens at a place where anybody may come at any time, m.
 const ANYBODY: f64 = 0.1;
 /// The same of a thing that memory holds without a covariance, m.
@@ -70,8 +70,8 @@ pub(crate) struct AttendedPlaces {
     motions: BTreeMap<EntityId, Point3<f64>>,
     /// Where each thing was when it last moved or appeared, and when that was, ns.
     moved: BTreeMap<EntityId, (Point3<f64>, u64)>,
-    /// Where things were that were needed and in memory, as they are needed after memory has given them up.
-    known: BTreeMap<EntityId, AttendedPlace>,
+    /// Where each needed thing was last: memory may give it up while it is needed.
+    last_known: BTreeMap<EntityId, AttendedPlace>,
     /// How fast each thing has moved of late.
     restless: BTreeMap<EntityId, Restless>,
 }
@@ -142,11 +142,11 @@ impl AttendedPlaces {
                 let id = entity_of(reference)?;
                 let Ok(known) = memory.latest(&id).await else {
                     // Memory has given it up: it may be near the place where it was.
-                    return Ok(self.known.get(&id).cloned().into_iter().collect());
+                    return Ok(self.last_known.get(&id).cloned().into_iter().collect());
                 };
                 let seen = self.seen(remembered, &known, now_ns);
                 if let Some(seen) = &seen {
-                    self.known.insert(id, AttendedPlace { deviation: ANYBODY, ..seen.clone() });
+                    self.last_known.insert(id, AttendedPlace { deviation: ANYBODY, ..seen.clone() });
                 }
                 return Ok(seen.into_iter().collect());
             }
@@ -198,6 +198,15 @@ impl AttendedPlaces {
         Ok(found)
     }
 
+    /// The variance that the place of a thing gains in a second, as it has moved of late, m²/s.
+    fn moves(&mut self, known: &Snapshot) -> f64 {
+        let Some(Value::Pose(pose)) = known.attribute("pose") else { return 0.0 };
+        let first = || Restless { pose: pose.clone(), seen_ns: known.referenced_ns, rate: 0.0 };
+        let restless = self.restless.entry(known.id.clone()).or_insert_with(first);
+        restless.see(pose, known.referenced_ns);
+        restless.rate
+    }
+
     /// What memory knows of an entity, as a stimulus; `None` where it is not known where it is, and of what a hand carries: that is known by the
     /// arm's joints.
     fn seen(&mut self, remembered: Remembered<'_>, known: &Snapshot, now_ns: u64) -> Option<AttendedPlace> {
@@ -214,18 +223,11 @@ impl AttendedPlaces {
         };
         let rows = instance.covariance.get("position").filter(|rows| rows.len() == 9);
         let variance = rows.map_or(UNKNOWN * UNKNOWN, |rows| (rows[0] + rows[4] + rows[8]) / 3.0);
-        let drift = match (is_person, known.attribute("pose")) {
-            (false, Some(Value::Pose(pose))) => {
-                let sight = || Restless { pose: pose.clone(), seen_ns: known.referenced_ns, rate: 0.0 };
-                let restless = self.restless.entry(known.id.clone()).or_insert_with(sight);
-                restless.see(pose, known.referenced_ns);
-                restless.rate.max(THING_DRIFT * THING_DRIFT)
-            }
-            _ => PEOPLE_DRIFT * PEOPLE_DRIFT,
-        };
+        let gained =
+            if is_person { PEOPLE_DRIFT.powi(2) } else { self.moves(known).max(THING_DRIFT.powi(2)) };
         let class = known.attribute("class").and_then(Value::as_str).filter(|_| !is_person);
         Some(AttendedPlace {
-            deviation: (variance + drift * age).sqrt(),
+            deviation: (variance + gained * age).sqrt(),
             class: class.map(str::to_owned),
             seen_ns: known.referenced_ns,
             ..somewhere(known.id.entity().to_owned(), place)

@@ -1,7 +1,11 @@
-//! Whether the arm can perform a motion: each point within reach, each joint within its speed limit.
+//! What the arm reaches: poses, by how far its joints are from their limits there, and motions, by the speed that they need of its joints.
 
-use armarium_robot::{PoseOptions, solve_pose};
+use std::sync::Arc;
+
+use armarium_robot::{LinkId, Model, PoseOptions, solve_pose};
 use armarium_runtime::skill::Failure;
+use nalgebra::Isometry3;
+use rand_chacha::ChaCha8Rng;
 
 use crate::arm::tcp_of;
 use crate::equipment::Equipment;
@@ -10,6 +14,55 @@ use crate::wiper::Wiper;
 
 /// Number of points of the path that are checked.
 const POINTS: usize = 48;
+/// Poses with less margin than this to a joint limit are not reached, rad, and the margin that is tried for then.
+const MIN_MARGIN: f64 = 0.03;
+const FREE_MARGIN: f64 = 0.1;
+
+/// The joints with which a TCP reaches.
+pub(crate) struct Reach<'a> {
+    pub(crate) model: &'a Arc<Model>,
+    pub(crate) joints: &'a [usize],
+    pub(crate) tcp: LinkId,
+    /// The positions of all joints near which they are to be, rad (m).
+    pub(crate) near: &'a [f64],
+}
+
+impl Reach<'_> {
+    /// The least margin to the joints' limits, rad, at poses that the TCP takes one after the other (root frame); else how far one of them
+    /// is from what is reached, m, which is 0 if only a joint limit is too near.
+    pub(crate) fn margin<const N: usize>(
+        &self,
+        poses: [&Isometry3<f64>; N],
+        random: &mut ChaCha8Rng,
+    ) -> Result<f64, f64> {
+        let nearest = self.margin_beyond(PoseOptions::default().margin, poses, random)?;
+        if nearest >= MIN_MARGIN {
+            return Ok(nearest);
+        }
+        // The nearest solution may stand at a limit from which another one is free.
+        self.margin_beyond(FREE_MARGIN, poses, random).map_err(|_| 0.0)
+    }
+
+    /// The margin of what is found when each joint is to keep `least` rad from its limits.
+    fn margin_beyond<const N: usize>(
+        &self,
+        least: f64,
+        poses: [&Isometry3<f64>; N],
+        random: &mut ChaCha8Rng,
+    ) -> Result<f64, f64> {
+        let options = PoseOptions { restarts: 3, margin: least, ..PoseOptions::default() };
+        let (mut q, mut margin) = (self.near.to_vec(), f64::INFINITY);
+        for pose in poses {
+            q = solve_pose(self.model, self.tcp, self.joints, pose, &q, &options, random)
+                .map_err(|e| e.position_error_m)?;
+            let limits = |&j: &usize| (&self.model.joints()[j], q[j]);
+            let margins =
+                self.joints.iter().map(limits).map(|(joint, q)| (q - joint.lower).min(joint.upper - q));
+            margin = margins.fold(margin, f64::min);
+        }
+        Ok(margin)
+    }
+}
 
 /// The largest share of a joint's speed limit that a motion needs of its arm at its frequency, with the TCP `over` m over where
 /// it is when the tool stands. Fails where a point is out of reach, or a joint would exceed its speed limit.

@@ -1,4 +1,4 @@
-//! `FollowObject`: holds the hand over a thing and goes where it goes, until the hand has rested there for a while.
+//! `FollowObject`: holds the hand over a thing and goes where it goes, until both have rested for a while.
 //!
 //! Where the thing is, memory says: it sees nothing itself. Whoever turns the eyes looks at the thing as long as this skill needs it.
 
@@ -19,13 +19,13 @@ use crate::skills::move_tcp::tolerances;
 const ASKED: f64 = 0.02;
 /// How long memory may know nothing of it, s.
 const LOST: f64 = 3.0;
-/// So exactly the thing's place is to be known, m.
+/// So exactly the thing's place is to be known, m; one that is further from where it stood has moved.
 const WITHIN: f64 = 0.01;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "FollowObject",
-        "Holds the hand over a thing, wherever memory says that it is, until the hand has rested there.",
+        "Holds the hand over a thing, wherever memory says that it is, until both have rested.",
     )
     .input("object", Type::object(), "The thing in memory.")
     .optional(
@@ -52,7 +52,12 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         Value::Null,
         "Pose of the thing for which `grasp_pose` is; without it, where it is when this begins.",
     )
-    .optional("for", Type::Duration, 0.5, "How long the hand is to have rested there.")
+    .optional(
+        "for",
+        Type::Duration,
+        0.5,
+        "How long the hand is to have rested there, and the thing under it.",
+    )
     .optional("speed", Type::quantity(Unit::M_S), 0.15, "Largest speed.");
     let manifest = tolerances(manifest, 0.005, 0.06)
         .optional("timeout", Type::Duration, 20.0, "Longest time it may take.")
@@ -112,10 +117,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             there = known.map_or(there, |place| Translation3::from(place - begin) * grasp);
             let hand = arm.tcp(&sample);
             let target = Translation3::from(back) * above * there;
-            let place = target.translation.vector;
-            if reached_for.is_none_or(|before: Vector3<f64>| (place - before).norm() > WITHIN) {
+            let wanted = target.translation.vector;
+            if reached_for.is_none_or(|before: Vector3<f64>| (wanted - before).norm() > WITHIN) {
                 arm.pull_towards_pose(&sample, &target, &mut random);
-                reached_for = Some(place);
+                reached_for = Some(wanted);
             }
             let observation = known.map(|_| ServoObservation { hand, target });
             let command = law.step(waited, observation.as_ref()).map_err(failed)?;

@@ -79,7 +79,7 @@ pub(crate) async fn move_to(
     reached: &PoseTolerance,
 ) -> SkillResult {
     let mut line = StraightLine::new(arm.tcp(&senses.newest()), target, speed).map_err(failed)?;
-    let feels = arm.limb.wrench.is_some();
+    let feels = reached.force < NO_LIMIT;
     let free = if feels { arm.force(&senses.newest())? } else { Vector3::zeros() };
     let mut elapsed = 0.0;
     loop {

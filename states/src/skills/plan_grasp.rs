@@ -2,18 +2,17 @@
 //! arm has the most margin to its joint limits.
 
 use std::f64::consts::FRAC_PI_2;
-use std::sync::Arc;
 
-use armarium_robot::{Hand, LinkId, Model, PoseOptions, solve_pose};
+use armarium_robot::{Hand, Model};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3};
-use rand_chacha::ChaCha8Rng;
 
 use crate::arm::{chosen, free_joints, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, pose_value};
+use crate::reach::Reach;
 use crate::surface::ContactPlane;
 
 /// Possible rotations of the hand against the object's sides, rad; the closing pads align the object. Each radian
@@ -21,10 +20,6 @@ use crate::surface::ContactPlane;
 const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
 /// Additional margin (rad) that one radian of misalignment must bring.
 const MISALIGNMENT_COST: f64 = 1.0;
-/// A grasp with less margin than this to a joint limit is rejected, rad.
-const MIN_MARGIN: f64 = 0.03;
-/// The margin that is tried for then, rad.
-const FREE_MARGIN: f64 = 0.1;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
@@ -60,7 +55,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         ready[joint] = now.position[joint];
     }
     let opening = widest_opening(model, hand);
-    let tcp = tcp_of(arm)?;
+    let reach = Reach { model, joints: &joints, tcp: tcp_of(arm)?, near: &ready };
     let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>)> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
@@ -73,7 +68,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let grasp = tcp_at(hand, &center, &surface.rotation(), hand_yaw);
             let mut pre = grasp;
             pre.translation.vector += surface.normal().scale(height);
-            match margin((model, &joints, tcp, &ready), (&grasp, &pre), &mut random) {
+            match reach.margin([&grasp, &pre], &mut random) {
                 Ok(margin) => {
                     let score = margin - MISALIGNMENT_COST * misalignment.abs();
                     if best.is_none_or(|(most, ..)| score > most) {
@@ -116,41 +111,6 @@ fn widest_opening(model: &Model, hand: &Hand) -> f64 {
 fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
     let (sin, cos) = libm::sincos(misalignment.abs());
     (across + pad_width * sin) / cos
-}
-
-/// A grasp's margin to the joints' limits, rad; else its distance from the reachable space, m, which is 0 if only a joint limit is too
-/// near.
-pub(super) fn margin(
-    arm: (&Arc<Model>, &[usize], LinkId, &[f64]),
-    poses: (&Isometry3<f64>, &Isometry3<f64>),
-    random: &mut ChaCha8Rng,
-) -> Result<f64, f64> {
-    // The nearest solution may stand at a limit from which another one is free.
-    let nearest = margin_beyond(PoseOptions::default().margin, arm, poses, random)?;
-    let margin = match nearest < MIN_MARGIN {
-        true => margin_beyond(FREE_MARGIN, arm, poses, random).map_err(|_| 0.0)?,
-        false => nearest,
-    };
-    Ok(margin)
-}
-
-/// The margin of what is found when each joint is to keep `least` rad from its limits.
-fn margin_beyond(
-    least: f64,
-    (model, joints, tcp, ready): (&Arc<Model>, &[usize], LinkId, &[f64]),
-    (grasp, pre): (&Isometry3<f64>, &Isometry3<f64>),
-    random: &mut ChaCha8Rng,
-) -> Result<f64, f64> {
-    let options = PoseOptions { restarts: 3, margin: least, ..PoseOptions::default() };
-    let mut solve = |target: &Isometry3<f64>, seed: &[f64]| {
-        solve_pose(model, tcp, joints, target, seed, &options, random).map_err(|e| e.position_error_m)
-    };
-    let at_grasp = solve(grasp, ready)?;
-    let at_pre = solve(pre, &at_grasp)?;
-    let margin_of =
-        |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
-    let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
-    Ok(margins.fold(f64::INFINITY, f64::min))
 }
 
 #[cfg(test)]

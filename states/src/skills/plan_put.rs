@@ -1,5 +1,5 @@
-//! `PlanPut`: chooses how a hand puts what it holds on a thing: the yaw, of all around the one that it has, for which the arm has the most
-//! margin to its joint limits.
+//! `PlanPut`: chooses how a hand puts what it holds on a thing: the yaw, near to the one that it has, for which the arm has the most margin
+//! to its joint limits.
 
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -9,10 +9,10 @@ use crate::arm::{chosen, free_joints, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, tcp_at, towards_wrist};
 use crate::inputs::{Inputs, pose_value};
-use crate::skills::plan_grasp::margin;
+use crate::reach::Reach;
 use crate::surface::ContactPlane;
 
-/// Between the yaws that are tried, rad, and how many there are on each side of the hand's own.
+/// The step between the yaws that are tried, rad, and how many there are on each side of the hand's own.
 const STEP: f64 = 0.2;
 const STEPS: i32 = 6;
 /// Additional margin, rad, that one radian of turning must bring.
@@ -57,14 +57,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let joints = free_joints(&equipment, &context, arm);
     let level = rotation.inverse() * model.link_pose(&now, tcp).rotation * hand.palm_down(0.0).inverse();
     let yaw = level.euler_angles().2;
+    let reach = Reach { model, joints: &joints, tcp, near: &now };
     let turns = (-STEPS..=STEPS).map(|step| STEP * f64::from(step));
     let (height, back) = (context.number("height")?, context.number("back")?);
     let poses = turns.filter_map(|turn| {
         let put = tcp_at(hand, &over, &rotation, yaw + turn);
         let pre = Translation3::from(up.scale(height)) * put;
         let waits = Translation3::from(towards_wrist(model, arm, &put.rotation) * back) * pre;
-        let mut margin = |poses| margin((model, &joints, tcp, &now), poses, &mut random).ok();
-        let margin = margin((&put, &pre))?.min(margin((&pre, &waits))?);
+        let margin = reach.margin([&put, &pre, &waits], &mut random).ok()?;
         Some((margin - TURN_COST * turn.abs(), put))
     });
     let Some((_, put)) = poses.max_by(|a, b| a.0.total_cmp(&b.0)) else {

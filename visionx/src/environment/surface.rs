@@ -104,25 +104,25 @@ impl Surface {
 
     /// Takes over what is seen of it in one picture, `dt` s after the last one.
     pub(super) fn measure<'p>(&mut self, seen: impl Iterator<Item = &'p DepthPoint>, dt: f64) {
-        let (mut information, mut weighted) = (Matrix3::zeros(), Vector3::zeros());
+        let (mut points, mut weighted) = (Matrix3::zeros(), Vector3::zeros());
         for point in seen {
             let at = self.anchor_from_root * point.at;
             let row = Vector3::new(1.0, at.x, at.y);
             let weight = (NOISE * point.scale()).powi(-2);
-            information += row * row.transpose() * weight;
+            points += row * row.transpose() * weight;
             weighted += row * (weight * at.z);
             let cell = cell_of(&Point2::new(at.x, at.y));
             if let Some(cell) = cell.filter(|_| self.cells.len() < MAX_CELLS) {
                 self.cells.entry(cell).or_insert(CELL_NEW);
             }
         }
-        // All points of one picture share the error of where the camera was. With its inverse P, what the picture tells is
-        // P (I + P)⁻¹ I: no inverse of I, which a narrow strip leaves singular.
+        // All points of one picture share the error of where the camera was: (points⁻¹ + pose⁻¹)⁻¹ is what both tell, by Woodbury's
+        // identity pose (points + pose)⁻¹ points. A narrow strip leaves `points` singular, which is not inverted here.
         let (across, tilt) = POSE;
         let pose = Matrix3::from_diagonal(&Vector3::new(across, tilt, tilt).map(|sd| sd.powi(-2)));
-        let Some(shared) = (information + pose).cholesky().map(|sum| pose * sum.inverse()) else { return };
+        let Some(shared) = (points + pose).cholesky().map(|sum| pose * sum.inverse()) else { return };
         let kept = libm::exp(-dt / KEPT_S);
-        let information = self.information * kept + shared * information + untold() * (1.0 - kept);
+        let information = self.information * kept + shared * points + untold() * (1.0 - kept);
         let information = (information + information.transpose()) * 0.5;
         let weighted = self.weighted * kept + shared * weighted;
         if let Some(known) = information.cholesky() {
