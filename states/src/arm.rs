@@ -182,6 +182,7 @@ pub(crate) struct LeasedArm {
     kinematics: Kinematics,
     /// The posture towards which the null space pulls, rad.
     posture: Vec<f64>,
+    random: ChaCha8Rng,
 }
 
 impl LeasedArm {
@@ -212,7 +213,16 @@ impl LeasedArm {
         let posture = leases.joints.iter().map(|&j| model.ready(&limb.name)[j]).collect();
         let ik = DifferentialIk::new(&model, tcp, &leases.joints, IkConfig::default());
         let kinematics = Kinematics::new(&model);
-        Ok(Self { leases, limb: limb.clone(), model, tcp, ik, kinematics, posture })
+        Ok(Self {
+            leases,
+            limb: limb.clone(),
+            model,
+            tcp,
+            ik,
+            kinematics,
+            posture,
+            random: equipment.random(),
+        })
     }
 
     /// The compensated force on its hand at a sample, root frame, N.
@@ -239,15 +249,17 @@ impl LeasedArm {
 
     /// From now on the null space pulls towards how the arm reaches a pose (root frame), if it does: on the way there alone it may come to
     /// a posture from which it does not go on.
-    pub(crate) fn pull_towards_pose(
-        &mut self,
-        sample: &Sensed,
-        root_from_tcp: &Isometry3<f64>,
-        random: &mut ChaCha8Rng,
-    ) {
+    pub(crate) fn pull_towards_pose(&mut self, sample: &Sensed, root_from_tcp: &Isometry3<f64>) {
         let (joints, options) = (&self.leases.joints, PoseOptions::default());
-        let solved =
-            solve_pose(&self.model, self.tcp, joints, root_from_tcp, &sample.position, &options, random);
+        let solved = solve_pose(
+            &self.model,
+            self.tcp,
+            joints,
+            root_from_tcp,
+            &sample.position,
+            &options,
+            &mut self.random,
+        );
         if let Ok(solved) = solved {
             self.posture = joints.iter().map(|&joint| solved[joint]).collect();
         }

@@ -23,6 +23,8 @@ pub use crate::bodies::KnownBox;
 const CLEARANCE: f64 = KEPT + 0.005;
 /// Followed distances may be too small by this, m.
 const TIGHTNESS: f64 = 0.002;
+/// A distance that changes by less than this, m, is the same.
+const SAME: f64 = 1e-6;
 /// Nearer than this to another one, m, no body rests that the guard stops: the last of the way to its bound takes without end.
 const STOPS: f64 = KEPT + TIGHTNESS;
 /// Shortest way of a body between two checks, m.
@@ -206,12 +208,15 @@ impl Planner {
         Ok(())
     }
 
-    /// Sets the distances to keep between a start and a goal.
+    /// Sets the distances to keep between a start and a goal. What touches at the start and is no nearer at the goal is not refused: another
+    /// arm may be about to grasp something.
     fn require(&mut self, [from, goal]: [&[f64]; 2]) -> Result<(), PlanError> {
         self.required.fill(CLEARANCE);
         let mut least = self.at_goal.clone();
+        let mut begins = vec![f64::INFINITY; least.len()];
         self.look(from);
         for (pair, near) in self.distances.near(CLEARANCE + TIGHTNESS) {
+            begins[pair] = near.distance;
             self.required[pair] = near.distance - TIGHTNESS;
             least[pair] = least[pair].min(near.distance - TIGHTNESS);
         }
@@ -220,7 +225,9 @@ impl Planner {
             self.required[pair] =
                 self.required[pair].min(near.distance - TIGHTNESS).max(least[pair].min(KEPT));
         }
-        let refused = |&(pair, near): &(usize, crate::bodies::Near)| near.distance < least[pair].max(0.0);
+        let refused = |&(pair, near): &(usize, crate::bodies::Near)| {
+            near.distance < least[pair].max(0.0) && near.distance < begins[pair] - SAME
+        };
         match self.distances.near(STOPS).find(refused) {
             Some((pair, near)) => Err(PlanError::GoalBlocked(self.nearness(pair, near.distance))),
             None => Ok(()),

@@ -68,6 +68,21 @@ fn a_straight_way_that_is_free_is_the_path() {
 }
 
 #[test]
+fn what_touches_already_and_comes_no_nearer_is_in_no_way() {
+    // The ball stands a millimetre deep in it, and slides along it.
+    let under = KnownBox {
+        name: "under".into(),
+        root_from_box: Isometry3::translation(0.0, -0.249, 0.0),
+        size: Vector3::new(3.0, 0.4, 1.0),
+    };
+    let slide_to = |to| slide(std::slice::from_ref(&under), to, 1);
+    assert_eq!(slide_to(RIGHT).unwrap(), [LEFT.to_vec(), RIGHT.to_vec()]);
+    assert!(slide_to([0.5, 0.01]).is_ok());
+    let Err(PlanError::GoalBlocked(near)) = slide_to([0.5, -0.002]) else { panic!("it goes deeper") };
+    assert_eq!(near.second, "under");
+}
+
+#[test]
 fn a_gap_in_a_wall_is_found_and_the_distance_is_kept() {
     let walls = [(-1.5, 0.5), (0.75, 1.5)];
     for seed in 0..20 {

@@ -1,6 +1,7 @@
 //! When the hand holds an object.
 //!
-//! The grip begins while **both** finger pads press on an object: the object is then joined to the palm. It ends
+//! The grip begins while **both** finger pads press on an object from opposite sides: the object is then joined to the palm. Closed fingers that
+//! push something side by side hold nothing. It ends
 //! when a pad has pressed less than [`HOLDING_FORCE`] for [`RELEASE_AFTER`], or when the load exceeds the friction of
 //! the pads: force `F` and torque `T` (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where
 //! `Fc` is [`PAD_FRICTION`] times the sum of both pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per
@@ -13,6 +14,8 @@ use super::plant::PAD_FRICTION;
 
 /// Normal force of a pad that counts as pressing, N.
 pub const HOLDING_FORCE: f64 = 1.0;
+/// Pads press from opposite sides when the cosine of the angle between their forces is less than this.
+const OPPOSITE: f64 = -0.5;
 /// How long a pad may press less before the grip ends, s.
 pub const RELEASE_AFTER: f64 = 0.02;
 /// Radius of the friction patch of a pad, m.
@@ -26,8 +29,16 @@ pub const SLIP_PAUSE: f64 = 0.3;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct PadPress {
     pub(super) touches: bool,
-    /// Normal force, N.
+    /// Normal force, N, and where it pushes the object, root frame.
     pub(super) force: f64,
+    pub(super) pushes: Vector3<f64>,
+}
+
+impl PadPress {
+    fn is_opposite(&self, other: &Self) -> bool {
+        let [a, b] = [self, other].map(|press| press.pushes.try_normalize(1e-9).unwrap_or_default());
+        a.dot(&b) < OPPOSITE
+    }
 }
 
 /// Force, N, and torque about the object's middle, N m, that the hand exerts on the object.
@@ -60,8 +71,10 @@ impl Grip {
     pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, dt: f64) {
         self.rest(dt);
         let Some(held) = self.held else {
-            let both =
-                |p: &Vec<PadPress>| p.len() >= 2 && p.iter().all(|p| p.touches && p.force > HOLDING_FORCE);
+            let both = |p: &Vec<PadPress>| {
+                p.iter().all(|p| p.touches && p.force > HOLDING_FORCE)
+                    && p.iter().any(|a| p.iter().any(|b| a.is_opposite(b)))
+            };
             if self.pause_s == 0.0 {
                 self.held = presses.iter().position(both);
                 self.loose_s = 0.0;
@@ -97,7 +110,11 @@ mod tests {
     use super::*;
 
     fn pads(a: f64, b: f64) -> Vec<Vec<PadPress>> {
-        vec![[a, b].map(|force| PadPress { touches: force > 0.0, force }).to_vec()]
+        vec![[(a, 1.0), (b, -1.0)].map(|(force, side)| pad(force, Vector3::y() * side)).to_vec()]
+    }
+
+    fn pad(force: f64, towards: Vector3<f64>) -> PadPress {
+        PadPress { touches: force > 0.0, force, pushes: towards * force }
     }
 
     fn pulled(force: f64) -> Option<Load> {
@@ -119,6 +136,17 @@ mod tests {
             grip.step(&pads(10.0, 0.0), None, 1e-3);
         }
         assert_eq!(grip.held(), None);
+    }
+
+    #[test]
+    fn pads_that_push_side_by_side_hold_nothing() {
+        let mut grip = Grip::default();
+        for away in [Vector3::y(), Vector3::new(0.6, 0.8, 0.0), Vector3::x()] {
+            grip.step(&[vec![pad(10.0, Vector3::y()), pad(10.0, away)]], None, 1e-3);
+            assert_eq!(grip.held(), None, "{away}");
+        }
+        grip.step(&[vec![pad(10.0, Vector3::y()), pad(10.0, Vector3::new(0.3, -0.95, 0.0))]], None, 1e-3);
+        assert_eq!(grip.held(), Some(0));
     }
 
     #[test]

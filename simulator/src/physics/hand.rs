@@ -192,9 +192,14 @@ fn press(physics: &rapier::PhysicsWorld, pad: ColliderHandle, object: &Object) -
     }
     for collider in &object.colliders {
         let Some(pair) = physics.narrow_phase.contact_pair(pad, *collider) else { continue };
-        let points = pair.solver_manifolds().iter().flat_map(|m| &m.points);
         press.touches |= pair.has_any_active_contact();
-        press.force += points.map(|p| p.data.impulse).sum::<f64>() / DT;
+        // A manifold's normal goes from the first collider to the second one.
+        let outwards = if pair.collider1 == pad { 1.0 } else { -1.0 };
+        for manifold in pair.solver_manifolds() {
+            let force = manifold.points.iter().map(|p| p.data.impulse).sum::<f64>() / DT;
+            press.force += force;
+            press.pushes += convert::to_vector(manifold.data.normal) * (outwards * force);
+        }
     }
     press
 }

@@ -106,7 +106,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     .map_err(failed)?;
     // Where the thing stands, and for how long it and the hand have rested, s.
     let (mut stands, mut rested) = (begin, 0.0);
-    let (mut there, mut reached_for, mut random) = (grasp, None, equipment.random());
+    let (mut there, mut reached_for) = (grasp, None);
     let (mut waited, mut linear, mut angular) = (ASKED, Vector3::zeros(), Vector3::zeros());
     loop {
         let (sample, dt) = senses.next().await?;
@@ -119,7 +119,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let target = Translation3::from(back) * above * there;
             let wanted = target.translation.vector;
             if reached_for.is_none_or(|before: Vector3<f64>| (wanted - before).norm() > WITHIN) {
-                arm.pull_towards_pose(&sample, &target, &mut random);
+                arm.pull_towards_pose(&sample, &target);
                 reached_for = Some(wanted);
             }
             let observation = known.map(|_| ServoObservation { hand, target });

@@ -14,6 +14,8 @@ use crate::motions::failed;
 /// How near each joint comes to the end of a way around before the TCP goes straight to its target, rad.
 const NEAR_THE_GOAL: f64 = 0.02;
 
+/// How long after the end of its line the TCP may still be on its way before the arm takes another posture, s.
+const LATE: f64 = 1.0;
 /// A force that the guard does not let a hand come to, N.
 pub(crate) const NO_LIMIT: f64 = 1e3;
 
@@ -81,7 +83,7 @@ pub(crate) async fn move_to(
     let mut line = StraightLine::new(arm.tcp(&senses.newest()), target, speed).map_err(failed)?;
     let feels = reached.force < NO_LIMIT;
     let free = if feels { arm.force(&senses.newest())? } else { Vector3::zeros() };
-    let mut elapsed = 0.0;
+    let (mut elapsed, mut pulled) = (0.0, false);
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
@@ -101,6 +103,11 @@ pub(crate) async fn move_to(
         // It must end at rest, so that the next skill starts with a still hand.
         if line.rested(0.15) && distance < reached.position && angle < reached.angle {
             return Ok(Outcome::success().with("tcp", pose_value(&tcp)));
+        }
+        if line.rested(LATE) && !pulled {
+            // Joints may stand at limits that others would spare them.
+            arm.pull_towards_pose(&sample, &target);
+            pulled = true;
         }
         if elapsed > reached.timeout {
             return Err(Failure::new(format!(

@@ -1,17 +1,19 @@
 //! `PlanGrasp`: chooses a grasp of an object straight against the surface on which it stands: the yaw of the hand for which the
-//! arm has the most margin to its joint limits.
+//! arm has the most margin to its joint limits, and no finger comes down on another thing that memory knows.
 
 use std::f64::consts::FRAC_PI_2;
 
+use armarium_robot::planning::KnownBox;
 use armarium_robot::{Hand, Model};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 use crate::arm::{chosen, free_joints, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
-use crate::grasp::{hand, tcp_at};
+use crate::grasp::{hand, tcp_at, towards_wrist};
 use crate::inputs::{Inputs, pose_value};
+use crate::places::{distance, known};
 use crate::reach::Reach;
 use crate::surface::ContactPlane;
 
@@ -20,6 +22,11 @@ use crate::surface::ContactPlane;
 const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
 /// Additional margin (rad) that one radian of misalignment must bring.
 const MISALIGNMENT_COST: f64 = 1.0;
+/// Margin (rad) that is worth less than not to come down on another thing, and room of the middle of each pad beside that, m.
+const MEETING_COST: f64 = 1.0;
+const BESIDE: f64 = 0.012;
+/// How far over the surface the fingers end, m.
+const FINGERS_END: f64 = 0.005;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
@@ -30,6 +37,12 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     )
     .input("object", Type::object(), "The object in memory.")
     .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp, along the surface's normal.")
+    .optional(
+        "along",
+        Type::quantity(Unit::M),
+        0.0,
+        "From how far back along its fingers the hand is to come, as `ApproachAlong` does, if it does not come from above.",
+    )
     .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
     .output("pre_pose", Type::Pose, "Pose of the TCP over it.")
     .output("object_pose", Type::Pose, "Where memory believes the object to be.");
@@ -38,11 +51,17 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let id = context.entity("object")?;
-    let height = context.number("height")?;
+    let (height, along) = (context.number("height")?, context.number("along")?);
     let (class, object) = equipment.remembered().thing(&id).await?;
     let [length, width, _] = class.size;
     let center = Point3::from(object.translation.vector);
     let surface = ContactPlane::under(equipment.remembered(), &center).await?;
+    let others: Vec<KnownBox> = known(equipment.remembered())
+        .await?
+        .into_iter()
+        .filter(|other| other.thing.as_ref().is_some_and(|thing| *thing != id))
+        .map(|other| other.shape)
+        .collect();
     let yaw = (surface.rotation().inverse() * object.rotation).euler_angles().2;
     let model = equipment.robot.model();
     let arm = chosen(&equipment, &context)?;
@@ -56,6 +75,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
     let opening = widest_opening(model, hand);
     let reach = Reach { model, joints: &joints, tcp: tcp_of(arm)?, near: &ready };
+    let down = surface.normal().scale((class.size[2] / 2.0 - FINGERS_END).max(0.0));
     let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>)> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
@@ -68,9 +88,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let grasp = tcp_at(hand, &center, &surface.rotation(), hand_yaw);
             let mut pre = grasp;
             pre.translation.vector += surface.normal().scale(height);
-            match reach.margin([&grasp, &pre], &mut random) {
+            let back = Translation3::from(towards_wrist(model, arm, &grasp.rotation) * along);
+            let begins = [back * pre, back * grasp];
+            let margin = match along > 0.0 {
+                true => reach.margin([&grasp, &pre, &begins[0], &begins[1]], &mut random),
+                false => reach.margin([&grasp, &pre], &mut random),
+            };
+            match margin {
                 Ok(margin) => {
-                    let score = margin - MISALIGNMENT_COST * misalignment.abs();
+                    let meets = comes_down_on(&others, &pads(hand, &grasp, opening), &down);
+                    let score = margin
+                        - MISALIGNMENT_COST * misalignment.abs()
+                        - if meets { MEETING_COST } else { 0.0 };
                     if best.is_none_or(|(most, ..)| score > most) {
                         best = Some((score, grasp, pre));
                     }
@@ -101,6 +130,21 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(planned.with("object_pose", pose_value(&object)))
 }
 
+/// Where the middles and the edges of the open pads are at a grasp, root frame, m.
+fn pads(hand: &Hand, grasp: &Isometry3<f64>, opening: f64) -> Vec<Point3<f64>> {
+    let root_from_held = grasp * hand.grasp_in_tcp;
+    let place = |side: f64, edge: f64| {
+        root_from_held * Point3::new(0.0, side * opening / 2.0, edge * hand.pad_width / 2.0)
+    };
+    [-1.0, 1.0].into_iter().flat_map(|side| [-1.0, 0.0, 1.0].map(|edge| place(side, edge))).collect()
+}
+
+/// Whether a finger whose pad is at one of these places would come down on something; it ends lower by `down`.
+fn comes_down_on(others: &[KnownBox], pads: &[Point3<f64>], down: &Vector3<f64>) -> bool {
+    let near = |other: &KnownBox, end: &Point3<f64>| distance(other, end) < BESIDE;
+    others.iter().any(|other| pads.iter().any(|pad| near(other, pad) || near(other, &(pad - down))))
+}
+
 /// The largest distance of the finger pads, m.
 fn widest_opening(model: &Model, hand: &Hand) -> f64 {
     model.limb(&hand.name).iter().map(|&j| model.joints()[j].upper).sum()
@@ -115,6 +159,8 @@ fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::UnitQuaternion;
+
     use super::*;
 
     #[test]
@@ -124,6 +170,29 @@ mod tests {
         assert!((turned - needed_opening(0.1, 0.42, 0.05)).abs() < 1e-12);
         // At the far edge of the pad, the side is 25 mm tan 0.42 further out than at the pad's middle.
         assert!((turned / 2.0 - (0.05 / libm::cos(0.42f64) + 0.025 * libm::tan(0.42f64))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_finger_that_would_come_down_on_something_beside_is_noticed() {
+        let model = Model::shipped("armar3").unwrap();
+        let (hand, center) = (&model.hands()["right_hand"], Point3::new(0.3, 0.5, 0.98));
+        let level = UnitQuaternion::identity();
+        // A flat board of which the edge is 40 mm beside the middle of the object, along y.
+        let board = KnownBox {
+            name: "board".into(),
+            root_from_box: Isometry3::translation(0.3, 0.61, 0.96),
+            size: Vector3::new(0.14, 0.14, 0.02),
+        };
+        let meets = |yaw: f64| {
+            let grasp = tcp_at(hand, &center, &level, yaw);
+            comes_down_on(
+                std::slice::from_ref(&board),
+                &pads(hand, &grasp, 0.13),
+                &Vector3::new(0.0, 0.0, 0.025),
+            )
+        };
+        let along_y = [0.0, FRAC_PI_2].map(meets);
+        assert!(along_y.contains(&true) && along_y.contains(&false), "{along_y:?}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let sides = sides(&object, &class.size.into(), &both.faces(&senses.newest()));
     for (hand, side) in sides.iter().enumerate() {
         let pressing = both.tcp_at(hand, side);
-        both.arm(hand).pull_towards_pose(&senses.newest(), &pressing, &mut equipment.random());
+        both.arm(hand).pull_towards_pose(&senses.newest(), &pressing);
     }
     go_beside(&mut both, &mut senses, &sides).await?;
     touch(&mut both, &mut senses, &sides).await?;

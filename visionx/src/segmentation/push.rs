@@ -24,6 +24,8 @@ const MARGIN: f64 = 0.02;
 const HITS: f64 = 0.7;
 const AGAIN: f64 = 0.3;
 const INWARDS: f64 = 0.3;
+/// What a push aside of the middle tells less; twice as much more where a push before was not enough, as it turns what is one and moves one of two.
+const ASIDE: f64 = 0.1;
 
 /// A push: the tip of a finger goes straight from one place to another, root frame, m.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,11 +111,10 @@ impl PushChoice {
         let in_the_way = others().filter(|h| extent(h).is_before(&own, way)).count();
         let center = nalgebra::center(&self.bounds[0], &self.bounds[1]);
         let inwards = along.dot(&(center - middle).try_normalize(1e-6).unwrap_or_default());
-        let tells = 1.0 + across_the_longer(of, &along)
-            - HITS * in_the_way as f64
-            - AGAIN * f64::from(of.pushes)
-            - 0.1 * offset.abs()
-            + INWARDS * inwards;
+        let tells =
+            1.0 + across_the_longer(of, &along) - HITS * in_the_way as f64 - AGAIN * f64::from(of.pushes)
+                + (if of.pushes == 0 { -ASIDE } else { 2.0 * ASIDE }) * offset.abs()
+                + INWARDS * inwards;
         Some(PlannedPush { of: of.name.clone(), from, to, tells })
     }
 

@@ -94,6 +94,8 @@ fn the_first_look_goes_by_height_and_colour() {
     assert_eq!(first(&twins).len(), 1, "nothing tells them apart");
     let striped = Thing { colors: [RED, BLUE], ..two[0] };
     assert_eq!(first(&[striped]).len(), 1, "two colours at exactly one height");
+    let beside = [two[0], Thing::new((0.30, 0.525, 0.0), [0.06, 0.06], BLUE)];
+    assert_eq!(first(&beside).len(), 2, "the same, but not convex together");
 }
 
 #[test]
@@ -122,7 +124,54 @@ fn parts_that_move_together_become_one_thing() {
     let moved = thing.moved(&about(&thing, (-0.04, 0.03, 0.4)));
     let now = after(&known, &[moved]);
     assert_eq!(now.len(), 1, "{:?}", now.iter().map(|h| (&h.name, h.cells.len())).collect::<Vec<_>>());
-    assert!(now[0].confirmed && iou(&now[0], &moved) > 0.95);
+    assert!(!now[0].confirmed && iou(&now[0], &moved) > 0.95, "one may have pushed the other");
+    let again = moved.moved(&about(&moved, (0.04, 0.03, -0.3)));
+    let now = after(&now, &[again]);
+    assert!(now.len() == 1 && now[0].confirmed && iou(&now[0], &again) > 0.95);
+}
+
+#[test]
+fn two_things_of_which_one_pushed_the_other_are_told_apart_by_the_next_push() {
+    let left = Thing::new((0.2, 0.5, 0.0), [0.06, 0.06], RED);
+    let right = Thing { height: 0.054, ..Thing::new((0.26, 0.5, 0.0), [0.06, 0.06], BLUE) };
+    let known = first(&[left, right]);
+    assert_eq!(known.len(), 2);
+    let along = about(&left, (0.05, 0.0, 0.0));
+    let pushed = [left.moved(&along), right.moved(&along)];
+    let now = told_apart(&known, &table(&pushed), Some(&of(&known, &left).0.name), &mut 2);
+    assert!(now.len() == 1 && !now[0].confirmed && now[0].pushes == 1);
+    let away = [pushed[0], pushed[1].moved(&about(&pushed[1], (0.0, 0.06, 0.0)))];
+    let now = told_apart(&now, &table(&away), Some(&now[0].name), &mut 2);
+    let ((stays, a), (went, b)) = (of(&now, &away[0]), of(&now, &away[1]));
+    assert!(now.len() == 2 && went.confirmed && !stays.confirmed && a > 0.95 && b > 0.95);
+}
+
+#[test]
+fn two_things_that_turned_against_each_other_are_two() {
+    let left = Thing::new((0.2, 0.5, 0.0), [0.06, 0.06], RED);
+    let right = Thing { height: 0.054, ..Thing::new((0.262, 0.5, 0.0), [0.06, 0.06], BLUE) };
+    let along = about(&left, (0.05, 0.0, 0.0));
+    let turned = right.moved(&along).moved(&about(&right.moved(&along), (0.004, 0.0, 0.2)));
+    let now = after(&first(&[left, right]), &[left.moved(&along), turned]);
+    assert!(
+        now.len() == 2 && now.iter().all(|thing| thing.confirmed),
+        "{:?}",
+        now.iter().map(|h| (&h.name, h.cells.len(), h.confirmed)).collect::<Vec<_>>()
+    );
+    assert!(of(&now, &left.moved(&along)).1 > 0.9 && of(&now, &turned).1 > 0.9);
+}
+
+#[test]
+fn what_is_not_all_where_the_motion_brings_it_is_no_thing_yet() {
+    let left = Thing::new((0.2, 0.5, 0.0), [0.08, 0.06], RED);
+    let right = Thing::new((0.26, 0.5, 0.0), [0.04, 0.06], RED);
+    let known = first(&[left, right]);
+    assert_eq!(known.len(), 1);
+    // The smaller one comes off the other by a little more than a cell, and turns.
+    let along = about(&left, (0.05, 0.0, 0.0));
+    let lagging = right.moved(&along).moved(&about(&right.moved(&along), (0.012, 0.004, 0.15)));
+    let now = after(&known, &[left.moved(&along), lagging]);
+    assert!(now.len() > 1 || !now[0].confirmed);
 }
 
 #[test]
