@@ -3,7 +3,7 @@
 use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::{LeasedArm, Senses, moves_the_arm};
+use crate::arm::{LeasedArm, Senses, chosen, moves_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
 use crate::skills::move_tcp::{NO_LIMIT, PoseTolerance, move_to};
@@ -42,10 +42,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         force: context.number("force")?,
     };
     let speed = context.number("speed")?;
-    let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut target = arm.tcp(&senses.newest());
+    let tcp = tcp_of(chosen(&equipment, &context)?)?;
+    let mut target = equipment.robot.model().link_pose(&senses.newest().position, tcp);
     let in_hand = context.text("frame")? == "hand";
     target.translation.vector += if in_hand { target.rotation * offset } else { offset };
+    let mut arm = LeasedArm::take(&equipment, &context, &[target]).await?;
     move_to(&mut arm, &mut senses, target, speed, &reached).await
 }

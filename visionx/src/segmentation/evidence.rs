@@ -17,9 +17,8 @@ const MOTIONS: usize = 4;
 const LITTLE: (f64, f64) = (0.010, 0.10);
 /// A part of a hypothesis with less than this share of it is no part.
 const PART: f64 = 0.12;
-/// Parts with as many cells between them may have moved as one thing, if they have not moved against each other by more than this, m.
+/// Parts with as many cells between them moved as one thing.
 const TOGETHER: i32 = 4;
-const RIGID: f64 = 0.005;
 /// What moved as one is no thing yet while a larger share of it than this is seen not to be where it would have come.
 const ASTRAY: f64 = 0.08;
 /// Room around what is compared, cells.
@@ -30,17 +29,6 @@ struct Part {
     of: usize,
     label: usize,
     cells: BTreeMap<CellIndex, TopCell>,
-    /// How it has moved by itself alone, and how it is taken to have moved.
-    own: Isometry2<f64>,
-    motion: Isometry2<f64>,
-}
-
-/// What has moved as one, or stayed, and how; of several parts, how the first one did alone.
-struct Moved {
-    thing: Hypothesis,
-    label: usize,
-    own: Isometry2<f64>,
-    motion: Isometry2<f64>,
 }
 
 /// What `known` becomes by a look at the table after `pushed` was pushed; new hypotheses are named from `next` on.
@@ -68,13 +56,13 @@ pub fn told_apart(
         .flat_map(|(of, hypothesis)| parts(of, hypothesis, &change, &motions))
         .collect();
     let mut things = things(known, parts, next);
-    for Moved { thing, label, motion, .. } in &mut things {
+    for (thing, label) in &mut things {
         let was_confirmed = known.iter().any(|before| before.confirmed && before.name == thing.name);
-        if *label != STAYED && !was_confirmed {
-            thing.confirmed &= astray(&thing.cells, motion, after) < ASTRAY;
+        if let Some(k) = label.checked_sub(1).filter(|_| !was_confirmed) {
+            thing.confirmed &= astray(thing, &motions[k], after) < ASTRAY;
         }
     }
-    seen_again(things, after, next)
+    seen_again(things, &motions, after, next)
 }
 
 /// What hypotheses say of the table, over what was seen of it later; where they say nothing it was free.
@@ -134,18 +122,11 @@ fn parts(
     for (place, label) in labels(&hypothesis.cells, change, (motions, least)) {
         parts.entry(label).or_default().insert(place, hypothesis.cells[&place]);
     }
-    let part = |(label, cells): (usize, BTreeMap<CellIndex, TopCell>)| {
-        let all = label.checked_sub(1).map_or_else(Isometry2::identity, |k| motions[k]);
-        let own = if label == STAYED { all } else { change.motion_of(&all, &cells) };
-        let [of_own, of_all] = [&own, &all].map(|motion| astray(&cells, motion, change.after));
-        let motion = if of_own < of_all - ASTRAY { own } else { all };
-        Part { of, label, cells, own, motion }
-    };
-    parts.into_iter().map(part).collect()
+    parts.into_iter().map(|(label, cells)| Part { of, label, cells }).collect()
 }
 
-/// The things that parts are: parts with one motion that are near each other are one.
-fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<Moved> {
+/// The things that parts are, each with its motion: parts with one motion that are near each other are one.
+fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypothesis, usize)> {
     let is_split: BTreeSet<usize> = parts
         .iter()
         .filter(|a| parts.iter().any(|b| a.of == b.of && a.label != b.label))
@@ -159,19 +140,18 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<Moved
     }
     let was_confirmed = |name: &str| known.iter().any(|before| before.confirmed && before.name == name);
     let mut named = BTreeSet::new();
-    let mut things: Vec<Moved> = Vec::new();
+    let mut things: Vec<(Hypothesis, usize)> = Vec::new();
     for part in parts {
         let whole = &known[part.of];
         let moved = part.label != STAYED;
         let joined = moved && !whole.confirmed;
-        let other = things.iter_mut().find(|Moved { thing, label, own, .. }| {
+        let other = things.iter_mut().find(|(thing, label)| {
             joined
                 && *label == part.label
                 && !was_confirmed(&thing.name)
                 && thing.is_near(&part.cells, TOGETHER)
-                && against([&thing.cells, &part.cells], [own, &part.own]) < RIGID
         });
-        if let Some(Moved { thing, .. }) = other {
+        if let Some((thing, _)) = other {
             thing.cells.extend(part.cells);
             thing.pushes = thing.pushes.max(whole.pushes);
             thing.confirmed = false;
@@ -181,21 +161,14 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<Moved
         let name = if keeps { whole.name.clone() } else { fresh(next) };
         let confirmed = moved || (whole.confirmed && !is_split.contains(&part.of));
         let pushes = if keeps { whole.pushes } else { 0 };
-        let thing = Hypothesis { name, cells: part.cells, confirmed, pushes };
-        things.push(Moved { thing, label: part.label, own: part.own, motion: part.motion });
+        things.push((Hypothesis { name, cells: part.cells, confirmed, pushes }, part.label));
     }
     things
 }
 
-/// How far two parts have moved against each other by their motions, m, at the middle of either.
-fn against(cells: [&BTreeMap<CellIndex, TopCell>; 2], motions: [&Isometry2<f64>; 2]) -> f64 {
-    let middles = cells.into_iter().filter_map(|cells| mean_of(cells.keys().copied()));
-    middles.map(|middle| (motions[0] * middle - motions[1] * middle).norm()).fold(0.0, f64::max)
-}
-
-/// The share of a surface, as far as its place after a motion is seen, that is not there.
-fn astray(cells: &BTreeMap<CellIndex, TopCell>, motion: &Isometry2<f64>, after: &TopView) -> f64 {
-    let places = cells.iter().map(|(place, top)| (place_of(&(motion * middle_of(*place))), top));
+/// The share of a thing's surface, as far as its place after a motion is seen, that is not there.
+fn astray(thing: &Hypothesis, motion: &Isometry2<f64>, after: &TopView) -> f64 {
+    let places = thing.cells.iter().map(|(place, top)| (place_of(&(motion * middle_of(*place))), top));
     let seen: Vec<bool> = places
         .filter(|(place, _)| after.at(*place) != Occupancy::Unknown)
         .map(|(place, top)| after.shows(place, top))
@@ -210,11 +183,17 @@ fn fresh(next: &mut usize) -> String {
 }
 
 /// The things with the surfaces that were seen now, and what is new. What is hidden now is where it should be.
-fn seen_again(things: Vec<Moved>, after: &TopView, next: &mut usize) -> Vec<Hypothesis> {
+fn seen_again(
+    things: Vec<(Hypothesis, usize)>,
+    motions: &[Isometry2<f64>],
+    after: &TopView,
+    next: &mut usize,
+) -> Vec<Hypothesis> {
     let surface: BTreeMap<CellIndex, TopCell> =
         after.occupied().filter(|(place, top)| after.is_surface(*place, top)).collect();
     let mut expected: BTreeMap<CellIndex, (usize, f64)> = BTreeMap::new();
-    for (i, Moved { thing, motion, .. }) in things.iter().enumerate() {
+    for (i, (thing, label)) in things.iter().enumerate() {
+        let motion = label.checked_sub(1).map_or_else(Isometry2::identity, |k| motions[k]);
         for (place, top) in &thing.cells {
             let at = motion * middle_of(*place);
             for near in around(place_of(&at), 1) {
@@ -238,7 +217,7 @@ fn seen_again(things: Vec<Moved>, after: &TopView, next: &mut usize) -> Vec<Hypo
     let taken: BTreeSet<CellIndex> = new.iter().flat_map(|thing| thing.cells.keys().copied()).collect();
     of.extend(spread(sources(&of), |_, to| surface.contains_key(&to) && !taken.contains(&to)));
     let mut again: Vec<Hypothesis> =
-        things.into_iter().map(|moved| Hypothesis { cells: BTreeMap::new(), ..moved.thing }).collect();
+        things.into_iter().map(|(thing, _)| Hypothesis { cells: BTreeMap::new(), ..thing }).collect();
     for (place, i) in of {
         again[i].cells.insert(place, surface[&place]);
     }

@@ -5,7 +5,6 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use nalgebra::{Isometry3, Point2, UnitQuaternion, Vector3};
 
 use super::top_view::{CELL, CellIndex, TopCell, TopView, around, beside, mean_of, middle_of};
-use crate::outline::ConvexOutline;
 use crate::plane::Plane;
 use crate::rectangle::Rectangle;
 
@@ -14,8 +13,6 @@ pub(super) const LEAST: usize = 14;
 /// What touches in at least so many cells and differs in height by less than this, m, is taken for one thing at first.
 const BORDER: usize = 5;
 const LEVEL: f64 = 0.0015;
-/// The least share of its convex hull that it fills then.
-const FULL: f64 = 0.95;
 /// Bytes of a packed cell: column, row, height in 0.1 mm (two each), and three of colour.
 const PACKED: usize = 9;
 
@@ -144,7 +141,7 @@ pub(super) fn of_rest(view: &TopView, taken: &BTreeSet<CellIndex>, next: &mut us
     found.into_iter().map(named).collect()
 }
 
-/// Joins what is of one height, touches, and is convex together: most of it is one thing with several colours.
+/// Joins what is of one height and touches: most of it is one thing with several colours.
 fn level_joined(found: Vec<BTreeMap<CellIndex, TopCell>>) -> Vec<BTreeMap<CellIndex, TopCell>> {
     let mean = |cells: &BTreeMap<CellIndex, TopCell>| {
         cells.values().map(|top| top.height).sum::<f64>() / cells.len().max(1) as f64
@@ -155,7 +152,7 @@ fn level_joined(found: Vec<BTreeMap<CellIndex, TopCell>>) -> Vec<BTreeMap<CellIn
         let is_one = |(others, other): &(Vec<f64>, BTreeMap<CellIndex, TopCell>)| {
             let level = others.iter().any(|other| heights.iter().any(|own| (own - other).abs() < LEVEL));
             let touching = |place: &&CellIndex| around(**place, 1).any(|near| other.contains_key(&near));
-            level && all.keys().filter(touching).count() >= BORDER && fills_its_hull(&all, other)
+            level && all.keys().filter(touching).count() >= BORDER
         };
         let (same, rest): (Vec<_>, Vec<_>) = joined.into_iter().partition(is_one);
         for (others, other) in same {
@@ -166,13 +163,6 @@ fn level_joined(found: Vec<BTreeMap<CellIndex, TopCell>>) -> Vec<BTreeMap<CellIn
         joined.push((heights, all));
     }
     joined.into_iter().map(|(_, cells)| cells).collect()
-}
-
-/// Whether two surfaces fill what is convex around the middles of the cells of both.
-fn fills_its_hull(a: &BTreeMap<CellIndex, TopCell>, b: &BTreeMap<CellIndex, TopCell>) -> bool {
-    let mut middles: Vec<Point2<f64>> = a.keys().chain(b.keys()).map(|place| middle_of(*place)).collect();
-    let hull = ConvexOutline::hull(&mut middles).map_or(0.0, |hull| hull.area().abs());
-    (a.len() + b.len()) as f64 * CELL * CELL >= FULL * hull
 }
 
 /// Spreads labels from cells to cells around them to which the way is open, the nearest first; gives the cells that were reached.

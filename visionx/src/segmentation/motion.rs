@@ -3,8 +3,6 @@
 //! Candidates on a coarse grid are counted; the best are refined by iterated closest points whose distance counts height and colour, too.
 //! Cells where a surface ends only match such cells: a plain surface that slides in itself would not say how far.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Isometry2, Point2, Vector2};
 
 use super::top_view::{CELL, CellIndex, Occupancy, TopCell, TopView, around, mean_of, middle_of, place_of};
@@ -17,9 +15,6 @@ const SAMPLES: usize = 120;
 /// How many candidates are refined, and in how many steps.
 const REFINED: usize = 8;
 const STEPS: usize = 12;
-/// Largest turn and shift by which a part moved otherwise than what moved about it, rad and m, and their steps.
-const TURNS_OF_PART: (f64, f64) = (0.3, 0.05);
-const SHIFTS_OF_PART: (f64, f64) = (0.012, 0.002);
 /// A cell's match is at most so many cells away.
 const REACH: i32 = 3;
 /// By how much a difference in height, m, and of a colour, of 255, counts as a distance, m.
@@ -101,42 +96,6 @@ impl<'v> ViewChange<'v> {
             candidates.into_iter().take(REFINED).flat_map(|(_, motion)| [motion, self.refined(motion)]);
         let scored = refined.map(|motion| (self.score(&motion, &self.gone, &self.come), motion));
         scored.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score > 0.0).map(|(_, motion)| motion)
-    }
-
-    /// The motion near another one after which most of these cells, and most of those where their surface ends, are found exactly.
-    pub(super) fn motion_of(
-        &self,
-        near: &Isometry2<f64>,
-        cells: &BTreeMap<CellIndex, TopCell>,
-    ) -> Isometry2<f64> {
-        let Some(middle) = mean_of(cells.keys().copied()) else { return *near };
-        let cells: Vec<_> = cells
-            .iter()
-            .map(|(place, top)| (middle_of(*place), top, self.before.is_edge(*place, top)))
-            .collect();
-        let found = |motion: &Isometry2<f64>| -> f64 {
-            let agrees = cells.iter().map(|(at, top, edge)| {
-                let place = place_of(&(motion * at));
-                let Some(seen) = self.after.top(place).filter(|seen| seen.is_like(top)) else { return 0.0 };
-                if *edge && self.after.is_edge(place, &seen) { EDGE } else { 1.0 }
-            });
-            agrees.sum()
-        };
-        let steps = |(most, step): (f64, f64)| {
-            let n = (most / step).round() as i32;
-            (-n..=n).map(move |i| f64::from(i) * step)
-        };
-        let shifts =
-            || steps(SHIFTS_OF_PART).flat_map(|x| steps(SHIFTS_OF_PART).map(move |y| Vector2::new(x, y)));
-        let all = steps(TURNS_OF_PART).flat_map(|turn| shifts().map(move |shift| (turn, shift)));
-        let candidates = all.map(|(turn, shift)| {
-            let motion = about(&(near * middle), turn, shift) * near;
-            (found(&motion), -turn.abs(), -shift.norm(), motion)
-        });
-        let order = |a: &(f64, f64, f64, Isometry2<f64>), b: &(f64, f64, f64, Isometry2<f64>)| {
-            a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
-        };
-        candidates.max_by(order).map_or(*near, |(.., motion)| motion)
     }
 
     /// A motion, refined by iterated closest points in both directions.
