@@ -22,7 +22,7 @@ use crate::surface::ContactPlane;
 const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
 /// Additional margin (rad) that one radian of misalignment must bring.
 const MISALIGNMENT_COST: f64 = 1.0;
-/// Margin (rad) that is worth less than not to come down on another thing, and room of the middle of each pad beside that, m.
+/// What it costs, as margin in rad, that a finger would come down on another thing, and how near to one the middle of a pad may come, m.
 const MEETING_COST: f64 = 1.0;
 const BESIDE: f64 = 0.012;
 /// How far over the surface the fingers end, m.
@@ -191,8 +191,8 @@ mod tests {
                 &Vector3::new(0.0, 0.0, 0.025),
             )
         };
-        let along_y = [0.0, FRAC_PI_2].map(meets);
-        assert!(along_y.contains(&true) && along_y.contains(&false), "{along_y:?}");
+        let either_way = [0.0, FRAC_PI_2].map(meets);
+        assert!(either_way.contains(&true) && either_way.contains(&false), "{either_way:?}");
     }
 
     #[test]

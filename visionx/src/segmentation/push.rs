@@ -24,7 +24,7 @@ const MARGIN: f64 = 0.02;
 const HITS: f64 = 0.7;
 const AGAIN: f64 = 0.3;
 const INWARDS: f64 = 0.3;
-/// What a push aside of the middle tells less; twice as much more where a push before was not enough, as it turns what is one and moves one of two.
+/// A push aside of the middle tells less by this, or more by twice this where a push before was not enough: it moves one of two things.
 const ASIDE: f64 = 0.1;
 
 /// A push: the tip of a finger goes straight from one place to another, root frame, m.
