@@ -182,6 +182,7 @@ pub(crate) struct LeasedArm {
     kinematics: Kinematics,
     /// The posture towards which the null space pulls, rad.
     posture: Vec<f64>,
+    /// For the search of postures.
     random: ChaCha8Rng,
 }
 

@@ -30,11 +30,7 @@ pub(crate) struct Reach<'a> {
 impl Reach<'_> {
     /// The least margin to the joints' limits, rad, at poses that the TCP takes one after the other (root frame); else how far one of them
     /// is from what is reached, m, which is 0 if only a joint limit is too near.
-    pub(crate) fn margin<const N: usize>(
-        &self,
-        poses: [&Isometry3<f64>; N],
-        random: &mut ChaCha8Rng,
-    ) -> Result<f64, f64> {
+    pub(crate) fn margin(&self, poses: &[Isometry3<f64>], random: &mut ChaCha8Rng) -> Result<f64, f64> {
         let nearest = self.margin_beyond(PoseOptions::default().margin, poses, random)?;
         if nearest >= MIN_MARGIN {
             return Ok(nearest);
@@ -44,10 +40,10 @@ impl Reach<'_> {
     }
 
     /// The margin of what is found when each joint is to keep `least` rad from its limits.
-    fn margin_beyond<const N: usize>(
+    fn margin_beyond(
         &self,
         least: f64,
-        poses: [&Isometry3<f64>; N],
+        poses: &[Isometry3<f64>],
         random: &mut ChaCha8Rng,
     ) -> Result<f64, f64> {
         let options = PoseOptions { restarts: 3, margin: least, ..PoseOptions::default() };

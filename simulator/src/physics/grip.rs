@@ -1,11 +1,11 @@
 //! When the hand holds an object.
 //!
-//! The grip begins while **both** finger pads press on an object from opposite sides: the object is then joined to the palm. Closed fingers that
-//! push something side by side hold nothing. It ends
-//! when a pad has pressed less than [`HOLDING_FORCE`] for [`RELEASE_AFTER`], or when the load exceeds the friction of
-//! the pads: force `F` and torque `T` (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where
-//! `Fc` is [`PAD_FRICTION`] times the sum of both pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per
-//! pad, this is 72 N and 2.2 N m. So an object can be missed, dropped and knocked out of the hand. This file
+//! The grip begins while **both** finger pads press on an object from opposite sides: the object is then joined to the palm.
+//! Closed fingers that push something side by side hold nothing. The grip ends when a pad has pressed less than
+//! [`HOLDING_FORCE`] for [`RELEASE_AFTER`], or when the load exceeds the friction of the pads: force `F` and torque `T`
+//! (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where `Fc` is [`PAD_FRICTION`] times the sum of both
+//! pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per pad, this is 72 N and 2.2 N m. So an object can be
+//! missed, dropped and knocked out of the hand. This file
 //! decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
 
 use nalgebra::Vector3;
@@ -29,12 +29,14 @@ pub const SLIP_PAUSE: f64 = 0.3;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct PadPress {
     pub(super) touches: bool,
-    /// Normal force, N, and where it pushes the object, root frame.
+    /// Sum of the normal forces of all contacts, N.
     pub(super) force: f64,
+    /// The same as vectors: the force on the object, root frame, N.
     pub(super) pushes: Vector3<f64>,
 }
 
 impl PadPress {
+    /// Whether it presses from the other side than another pad.
     fn is_opposite(&self, other: &Self) -> bool {
         let [a, b] = [self, other].map(|press| press.pushes.try_normalize(1e-9).unwrap_or_default());
         a.dot(&b) < OPPOSITE

@@ -1,5 +1,5 @@
 //! `PlanGrasp`: chooses a grasp of an object straight against the surface on which it stands: the yaw of the hand for which the
-//! arm has the most margin to its joint limits, and no finger comes down on another thing that memory knows.
+//! arm has the most margin to its joint limits, if possible without a finger that comes down on another thing that memory knows.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -88,13 +88,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let grasp = tcp_at(hand, &center, &surface.rotation(), hand_yaw);
             let mut pre = grasp;
             pre.translation.vector += surface.normal().scale(height);
-            let back = Translation3::from(towards_wrist(model, arm, &grasp.rotation) * along);
-            let begins = [back * pre, back * grasp];
-            let margin = match along > 0.0 {
-                true => reach.margin([&grasp, &pre, &begins[0], &begins[1]], &mut random),
-                false => reach.margin([&grasp, &pre], &mut random),
-            };
-            match margin {
+            let mut poses = vec![grasp, pre];
+            if along > 0.0 {
+                let back = Translation3::from(towards_wrist(model, arm, &grasp.rotation) * along);
+                poses.extend([back * pre, back * grasp]);
+            }
+            match reach.margin(&poses, &mut random) {
                 Ok(margin) => {
                     let meets = comes_down_on(&others, &pads(hand, &grasp, opening), &down);
                     let score = margin
@@ -139,7 +138,7 @@ fn pads(hand: &Hand, grasp: &Isometry3<f64>, opening: f64) -> Vec<Point3<f64>> {
     [-1.0, 1.0].into_iter().flat_map(|side| [-1.0, 0.0, 1.0].map(|edge| place(side, edge))).collect()
 }
 
-/// Whether a finger whose pad is at one of these places would come down on something; it ends lower by `down`.
+/// Whether a finger whose pad is at one of these places (root frame, m) would come down on something; it ends lower by `down`, m.
 fn comes_down_on(others: &[KnownBox], pads: &[Point3<f64>], down: &Vector3<f64>) -> bool {
     let near = |other: &KnownBox, end: &Point3<f64>| distance(other, end) < BESIDE;
     others.iter().any(|other| pads.iter().any(|pad| near(other, pad) || near(other, &(pad - down))))

@@ -64,7 +64,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let put = tcp_at(hand, &over, &rotation, yaw + turn);
         let pre = Translation3::from(up.scale(height)) * put;
         let waits = Translation3::from(towards_wrist(model, arm, &put.rotation) * back) * pre;
-        let margin = reach.margin([&put, &pre, &waits], &mut random).ok()?;
+        let margin = reach.margin(&[put, pre, waits], &mut random).ok()?;
         Some((margin - TURN_COST * turn.abs(), put))
     });
     let Some((_, put)) = poses.max_by(|a, b| a.0.total_cmp(&b.0)) else {

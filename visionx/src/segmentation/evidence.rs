@@ -57,8 +57,7 @@ pub fn told_apart(
         .collect();
     let mut things = things(known, parts, next);
     for (thing, label) in &mut things {
-        let was_confirmed = known.iter().any(|before| before.confirmed && before.name == thing.name);
-        if let Some(k) = label.checked_sub(1).filter(|_| !was_confirmed) {
+        if let Some(k) = label.checked_sub(1).filter(|_| !was_confirmed(known, &thing.name)) {
             thing.confirmed &= astray(thing, &motions[k], after) < ASTRAY;
         }
     }
@@ -138,7 +137,6 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypo
         let most = largest.entry(part.of).or_default();
         *most = (*most).max(part.cells.len());
     }
-    let was_confirmed = |name: &str| known.iter().any(|before| before.confirmed && before.name == name);
     let mut named = BTreeSet::new();
     let mut things: Vec<(Hypothesis, usize)> = Vec::new();
     for part in parts {
@@ -148,7 +146,7 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypo
         let other = things.iter_mut().find(|(thing, label)| {
             joined
                 && *label == part.label
-                && !was_confirmed(&thing.name)
+                && !was_confirmed(known, &thing.name)
                 && thing.is_near(&part.cells, TOGETHER)
         });
         if let Some((thing, _)) = other {
@@ -166,14 +164,15 @@ fn things(known: &[Hypothesis], parts: Vec<Part>, next: &mut usize) -> Vec<(Hypo
     things
 }
 
+fn was_confirmed(known: &[Hypothesis], name: &str) -> bool {
+    known.iter().any(|before| before.confirmed && before.name == name)
+}
+
 /// The share of a thing's surface, as far as its place after a motion is seen, that is not there.
 fn astray(thing: &Hypothesis, motion: &Isometry2<f64>, after: &TopView) -> f64 {
     let places = thing.cells.iter().map(|(place, top)| (place_of(&(motion * middle_of(*place))), top));
-    let seen: Vec<bool> = places
-        .filter(|(place, _)| after.at(*place) != Occupancy::Unknown)
-        .map(|(place, top)| after.shows(place, top))
-        .collect();
-    let astray = seen.iter().filter(|is_there| !**is_there).count();
+    let seen: Vec<_> = places.filter(|(place, _)| after.at(*place) != Occupancy::Unknown).collect();
+    let astray = seen.iter().filter(|(place, top)| !after.shows(*place, top)).count();
     astray as f64 / seen.len().max(1) as f64
 }
 

@@ -111,9 +111,10 @@ impl PushChoice {
         let in_the_way = others().filter(|h| extent(h).is_before(&own, way)).count();
         let center = nalgebra::center(&self.bounds[0], &self.bounds[1]);
         let inwards = along.dot(&(center - middle).try_normalize(1e-6).unwrap_or_default());
+        let aside = if of.pushes == 0 { -ASIDE } else { 2.0 * ASIDE };
         let tells =
             1.0 + across_the_longer(of, &along) - HITS * in_the_way as f64 - AGAIN * f64::from(of.pushes)
-                + (if of.pushes == 0 { -ASIDE } else { 2.0 * ASIDE }) * offset.abs()
+                + aside * offset.abs()
                 + INWARDS * inwards;
         Some(PlannedPush { of: of.name.clone(), from, to, tells })
     }
