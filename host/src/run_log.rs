@@ -170,6 +170,7 @@ impl RunLogger {
                 if outcome == "success" {
                     self.mark(&running, &MarkTime::Success, outputs, t_ns);
                 }
+                self.mark(&running, &MarkTime::End, outputs, t_ns);
             }
             TraceItem::Started { inputs, .. } => log.inputs.clone_from(inputs),
             TraceItem::Dropped { name, reason } => {

@@ -58,6 +58,7 @@ pub(crate) async fn watch_perception(
                     |name| snapshot.attribute(name).and_then(Value::as_str).unwrap_or_default().to_owned();
                 referee.touch_known(clock(), KnownTouch { finger: text("finger"), by: text("by") });
             }
+            Ok(snapshot) if snapshot.id.segment() == "Slips" => referee.slip_known(clock()),
             Ok(_) | Err(RecvError::Lagged(_)) => {}
             Err(_) => return,
         }

@@ -226,13 +226,16 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
             .required("color", numbers(), "its mean colour: red, green and blue, 0 to 255")
             .required("points", Type::Bytes, "its upper surface, as `visionx` packs it")
             .required("mask", Type::list(Type::Int), "its pixels in the left picture: row, first column, one past the last, ...")
-            .required("confirmed", Type::Bool, "whether it has moved as one")
+            .required("confirmed", Type::Bool, "whether it is taken for one thing, as it has moved as one")
             .required("pushes", Type::Int, "how often it was pushed")
             .optional("class", Type::String, "the learned class of which it is taken to be"),
         SegmentSchema::new("Touches", "That a hand of the robot touched something on its way; the entity is the hand.")
             .required("by", Type::one_of(["seen", "felt"]), "how that was noticed")
             .required("finger", Type::String, "the link of the finger that touched; empty where that is not known")
             .optional("position", Type::Vector, "middle of what was seen to move, m, in its frame"),
+        SegmentSchema::new("Slips", "That what a hand of the robot held slipped; the entity is the hand.")
+            .required("by", Type::one_of(["seen", "felt"]), "how that was noticed")
+            .optional("position", Type::Vector, "middle of what was seen to stay behind, m, in its frame"),
         SegmentSchema::new("ObjectClasses", "What is known of a kind of thing before it is seen.")
             .required("color", numbers(), "red, green and blue, 0 to 255")
             .required("size", Type::list(metres()), "extent along the object's x, y and z, m")

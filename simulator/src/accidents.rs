@@ -1,6 +1,7 @@
-//! What happens to things, to the robot's hand and to its arm in a run, by nobody's plan: knocks, pushes, and somebody who takes a thing elsewhere.
+//! What happens to things, to the robot's hand and to its arm in a run, by nobody's plan: knocks, pushes, somebody who takes a thing elsewhere, and things
+//! that get slippery.
 //!
-//! It computes forces; the physics does with them what follows.
+//! It computes forces and frictions; the physics does with them what follows.
 
 use nalgebra::Vector3;
 
@@ -47,7 +48,7 @@ impl Accidents {
         Self { all: disturbances.iter().map(accident).collect() }
     }
 
-    /// Adds the forces of a step at `t` s; `begun` says when that from which a disturbance counts was, s.
+    /// Adds the forces and frictions of a step at `t` s; `begun` says when that from which a disturbance counts was, s.
     pub(crate) fn add(
         &mut self,
         t: f64,
@@ -66,6 +67,10 @@ impl Accidents {
                 Knocked::Hand => external.hand += accident.what.force_at(age),
                 Knocked::Arm => external.arm += accident.what.force_at(age),
                 Knocked::Body(body) => {
+                    if let Some(friction) = accident.what.slippery {
+                        external.slippery.push((body, friction));
+                        continue;
+                    }
                     let found = plant.object(body).zip(plant.mass(body));
                     let (at, mass) =
                         found.map_or_else(Default::default, |(pose, mass)| (pose.translation.vector, mass));

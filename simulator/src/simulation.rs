@@ -382,6 +382,7 @@ impl Simulation {
         self.truth.coach = state;
         (self.external.hand, self.external.arm) = (state.push, Vector3::zeros());
         self.external.objects.fill(Vector3::zeros());
+        self.external.slippery.clear();
         let (grasped, wiping) = (self.grasped_at, self.wiping_at);
         let begun = |event: WorldEvent| match event {
             WorldEvent::Grasp => grasped,

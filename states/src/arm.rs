@@ -27,6 +27,13 @@ const SETTLES: usize = 2;
 const OFF_THE_WAY: f64 = 0.002;
 /// Gain of the TCP's position and orientation error, 1/s.
 const TRACKING_GAIN: f64 = 12.0;
+/// At what speed joints take a posture, and within what they have taken it, rad/s and rad.
+const TURNING: f64 = 0.3;
+const TURNED: f64 = 0.01;
+/// How far from its goal the TCP may be for that, m: on the way to another posture the hand is beside its line.
+const SHORT: f64 = 0.1;
+/// A joint that is so near to its limit, rad (m), goes no farther: a little more than what the inverse kinematics keeps.
+const AT_LIMIT: f64 = 0.025;
 
 /// Delivers the newest samples of the robot until the skill is cancelled.
 pub(crate) struct Senses {
@@ -184,6 +191,7 @@ pub(crate) struct LeasedArm {
     posture: Vec<f64>,
     /// For the search of postures.
     random: ChaCha8Rng,
+    pub(crate) equipment: Equipment,
 }
 
 impl LeasedArm {
@@ -223,6 +231,7 @@ impl LeasedArm {
             kinematics,
             posture,
             random: equipment.random(),
+            equipment: equipment.clone(),
         })
     }
 
@@ -249,8 +258,8 @@ impl LeasedArm {
     }
 
     /// From now on the null space pulls towards how the arm reaches a pose (root frame), if it does: on the way there alone it may come to
-    /// a posture from which it does not go on.
-    pub(crate) fn pull_towards_pose(&mut self, sample: &Sensed, root_from_tcp: &Isometry3<f64>) {
+    /// a posture from which it does not go on. Returns whether it does.
+    pub(crate) fn pull_towards_pose(&mut self, sample: &Sensed, root_from_tcp: &Isometry3<f64>) -> bool {
         let (joints, options) = (&self.leases.joints, PoseOptions::default());
         let solved = solve_pose(
             &self.model,
@@ -261,9 +270,36 @@ impl LeasedArm {
             &options,
             &mut self.random,
         );
-        if let Ok(solved) = solved {
-            self.posture = joints.iter().map(|&joint| solved[joint]).collect();
-        }
+        let Ok(solved) = solved else { return false };
+        self.posture = joints.iter().map(|&joint| solved[joint]).collect();
+        true
+    }
+
+    /// Where the TCP stands so far from a pose (root frame), m, because a joint is at its limit, whether it is to take another posture that
+    /// reaches the pose. The null space pulls towards that from now on.
+    pub(crate) fn needs_another_posture(
+        &mut self,
+        sample: &Sensed,
+        root_from_tcp: &Isometry3<f64>,
+        distance: f64,
+    ) -> bool {
+        let at_limit = self.leases.joints.iter().any(|&joint| {
+            let (known, q) = (&self.model.joints()[joint], sample.position[joint]);
+            known.upper - q < AT_LIMIT || q - known.lower < AT_LIMIT
+        });
+        self.pull_towards_pose(sample, root_from_tcp) && at_limit && distance < SHORT
+    }
+
+    /// Moves the joints themselves towards that posture, all together and slowly, as the hand leaves its line meanwhile; returns whether they
+    /// are there.
+    pub(crate) fn take_posture(&mut self, sample: &Sensed) -> Result<bool, Failure> {
+        let off: Vec<f64> =
+            self.positions(sample).iter().zip(&self.posture).map(|(q, goal)| goal - q).collect();
+        let farthest = off.iter().fold(0.0_f64, |most, off| most.max(off.abs()));
+        let rate = TRACKING_GAIN.min(TURNING / farthest.max(1e-9));
+        let velocities: Vec<f64> = off.iter().map(|off| rate * off).collect();
+        self.leases.command(&velocities)?;
+        Ok(farthest < TURNED)
     }
 
     /// The positions of its joints at a sample, in their order.

@@ -7,14 +7,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_motion::StraightLine;
-use armarium_robot::planning::{KnownBox, PlanError, Planner};
+use armarium_robot::planning::{KnownBox, Nearness, PlanError, Planner};
 use armarium_robot::{
-    DifferentialIk, IkConfig, Limb, LinkId, Load, Model, PoseOptions, Twist, pose_error, solve_pose,
+    DifferentialIk, IkConfig, Limb, LinkId, Load, Model, PoseOptions, Sensed, Twist, pose_error, solve_pose,
 };
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3};
 
-use crate::arm::{ArmLeases, Senses, tcp_of};
+use crate::arm::{ArmLeases, LeasedArm, Senses, tcp_of};
 use crate::equipment::Equipment;
 use crate::grasp::held_in_tcp;
 use crate::motions::failed;
@@ -85,8 +85,8 @@ impl Around {
         planned(move || self.plan(&mut self.planner(), &now, &goal)).await
     }
 
-    /// A path to a pose of the TCP (root frame), if its straight line at `speed` m/s is blocked; `None` if that is free. Fails where the
-    /// line is blocked and the pose is out of reach or not free, or no way to it is found.
+    /// A path to a pose of the TCP (root frame), if its straight line at `speed` m/s is blocked or ends short of it; `None` if that is free, and
+    /// arrives or nothing else does. Fails where the line is blocked and the pose is out of reach or not free, or no way to it is found.
     pub(crate) async fn way_to_pose(
         self,
         now: Vec<f64>,
@@ -94,6 +94,11 @@ impl Around {
         speed: f64,
     ) -> Result<Option<Path>, Failure> {
         planned(move || self.plan_to_pose(&now, &target, speed)).await
+    }
+
+    /// Which two bodies are so near each other with all joints at `now` that the guard lets them come no nearer, if any are.
+    async fn stopped_by(self, now: Vec<f64>) -> Result<Option<Nearness>, Failure> {
+        planned(move || Ok(self.planner().stopped_by(&self.joints, &now))).await
     }
 
     fn planner(&self) -> Planner {
@@ -112,17 +117,32 @@ impl Around {
     ) -> Result<Option<Path>, Failure> {
         let mut planner = self.planner();
         let line = self.rehearse(now, target, speed)?;
-        match planner.check(&line) {
-            Ok(()) => return Ok(None),
-            Err(PlanError::WayBlocked(_) | PlanError::GoalBlocked(_)) => {}
-            Err(other) => return Err(failed(other)),
-        }
         let end = line.last().map_or(now, Vec::as_slice);
         let error = pose_error(&self.model.link_pose(end, self.tcp), target);
         let arrives = error.linear.norm() < ARRIVED.0 && error.angular.norm() < ARRIVED.1;
+        let is_free = match planner.check(&line) {
+            Ok(()) => true,
+            Err(PlanError::WayBlocked(_) | PlanError::GoalBlocked(_)) => false,
+            Err(other) => return Err(failed(other)),
+        };
+        if is_free {
+            // On a straight line joints may come to limits that another posture spares them.
+            let around = if arrives { None } else { self.plan_to_posture(&mut planner, now, target).ok() };
+            return Ok(around);
+        }
         if arrives && let Ok(path) = self.plan(&mut planner, now, end) {
             return Ok(Some(path));
         }
+        self.plan_to_posture(&mut planner, now, target).map(Some)
+    }
+
+    /// A path to a posture in which the TCP is at a pose (root frame).
+    fn plan_to_posture(
+        &self,
+        planner: &mut Planner,
+        now: &[f64],
+        target: &Isometry3<f64>,
+    ) -> Result<Path, Failure> {
         let solved = solve_pose(
             &self.model,
             self.tcp,
@@ -137,7 +157,7 @@ impl Around {
         let moved: Vec<f64> = self.joints.iter().map(|&j| goal[j]).collect();
         goal.copy_from_slice(now);
         self.joints.iter().zip(moved).for_each(|(&j, q)| goal[j] = q);
-        self.plan(&mut planner, now, &goal).map(Some)
+        self.plan(planner, now, &goal)
     }
 
     /// The joints on the straight line of the TCP, as differential kinematics would move them.
@@ -171,6 +191,21 @@ async fn planned<T: Send + 'static>(
 ) -> Result<T, Failure> {
     let planned = tokio::task::spawn_blocking(plan).await;
     planned.map_err(|error| Failure::new(format!("planning ended early: {error}")))?
+}
+
+/// Stops an arm that has not come to its goal, and says why, as the end of a message: which two bodies the guard lets come no nearer, if any.
+pub(crate) async fn stops_short(arm: &LeasedArm, sample: &Sensed) -> Result<String, Failure> {
+    arm.stand()?;
+    let now = &sample.position;
+    let near = match Around::of(&arm.equipment, &arm.limb, &arm.leases, now, None).await {
+        Ok(around) => around.stopped_by(now.clone()).await.ok().flatten(),
+        Err(_) => None,
+    };
+    let why = near.map(|near| {
+        let mm = near.distance_m * 1e3;
+        format!("; `{}` is {mm:.0} mm from `{}`, and may come no nearer", near.first, near.second)
+    });
+    Ok(why.unwrap_or_else(|| "; is that within reach?".to_owned()))
 }
 
 /// Moves what is leased along a path of all joints, from corner to corner, all joints together; fails where the last corner is not

@@ -26,6 +26,7 @@ const HAND: &[&str] = &[
     "ChoosePush",
     "PushObject",
     "ApproachObject",
+    "WatchGrasp",
 ];
 const WRENCH: &[&str] = &[
     "Tare",
@@ -61,6 +62,7 @@ const CAMERAS: &[&str] = &[
     "ModelEnvironment",
     "GazeSelection",
     "ApproachObject",
+    "WatchGrasp",
 ];
 
 /// What a robot lacks, and for which skills.

@@ -10,12 +10,13 @@ use armarium_robot::{LinkId, Model};
 use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_states::Equipment;
 use armarium_values::{Pose, Value};
+use armarium_visionx::BulkEstimate;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use parking_lot::Mutex;
 
-/// A skill in whose memory there are the table and a board, and what its TCP came nearest to that board, m.
+/// A skill in whose memory there are the table and a board, as a bulk that was seen, and what its TCP came nearest to that board, m.
 struct Watched {
     skill: Arc<dyn Skill>,
     equipment: Equipment,
@@ -32,7 +33,12 @@ impl Skill for Watched {
         let known = [&self.board, &table()].map(|known| {
             let pose = Value::Pose(Pose::new("root".into(), &known.root_from_box));
             let size: [f64; 3] = known.size.into();
-            let attributes = [("pose".to_owned(), pose), ("size".to_owned(), Value::from(size))];
+            let class = if known.name == self.board.name { BulkEstimate::CLASS } else { "table" };
+            let attributes = [
+                ("pose".to_owned(), pose),
+                ("size".to_owned(), Value::from(size)),
+                ("class".to_owned(), Value::from(class)),
+            ];
             let id = EntityId::new("EnvironmentModels", "test", &known.name).unwrap();
             Commit::new(id, 0, BTreeMap::from(attributes))
         });
@@ -167,6 +173,22 @@ fn a_posture_before_which_the_guard_would_stop_is_refused_at_once() {
     // With enough room it goes there.
     let (ended, _) = run("MoveJoints", under(depth.unwrap() + 0.02), &[("posture", Value::from("wipe"))]);
     assert_eq!(ended.outcome, "success", "{:?}", ended.reason);
+}
+
+#[test]
+fn a_hand_that_the_guard_stops_says_before_what() {
+    let model = Model::shipped("armar3").unwrap();
+    let under = lying(&model, model.start(), model.arms().next().unwrap().tcp.unwrap());
+    // Between the hand and where it is to go, and at neither.
+    let board = KnownBox {
+        name: "board".into(),
+        root_from_box: Isometry3::translation(0.0, 0.0, -0.25) * under,
+        size: Vector3::new(0.6, 0.6, 0.02),
+    };
+    let offset = Value::from([0.0, 0.0, -0.6]);
+    let (ended, _) = run("MoveTcpBy", board, &[("offset", offset)]);
+    let reason = ended.reason.unwrap_or_default();
+    assert!(reason.contains("`board`, and may come no nearer"), "{reason}");
 }
 
 /// A level frame at a TCP.

@@ -1,14 +1,18 @@
-//! A hand that comes along a table sees what it touches, and grasps what it would have pushed away.
+//! A hand that comes along a table sees what it touches, and grasps what it would have pushed away; and it sees that what it holds slips.
 
 use armarium_host::{RunConfig, RunEnded};
 
 use crate::ended::ended;
 
 fn grasped(world: &str, inputs: &[(&str, &str)]) -> RunEnded {
+    run("collision_grasp.yaml", world, 7, inputs)
+}
+
+fn run(chart: &str, world: &str, seed: u64, inputs: &[(&str, &str)]) -> RunEnded {
     let charts = armarium_tests::repository::root().join("statecharts");
     let inputs = inputs.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
     let world = Some(charts.join(world));
-    ended(RunConfig { world, seed: 7, inputs, ..RunConfig::new(charts.join("collision_grasp.yaml")) })
+    ended(RunConfig { world, seed, inputs, ..RunConfig::new(charts.join(chart)) })
 }
 
 #[test]
@@ -34,4 +38,16 @@ fn a_hand_that_passes_is_no_touch() {
     assert_eq!(ended.result.outcome, "success", "{:?} {:?}", ended.result.reason, ended.result.chain);
     let touch = &ended.report["touch"];
     assert!(touch["touches"] == 0 && touch["false_alarms"] == 0 && touch["grasped"] == 1, "{touch}");
+}
+
+#[test]
+fn what_slips_on_the_way_up_is_seen_to_stay_behind() {
+    let ended = run("grasp_object.yaml", "slipping.world.yaml", 12, &[("object", "box")]);
+    let reason = ended.result.reason.unwrap_or_default();
+    assert!(reason.contains("slips: it stays behind, as is seen"), "{reason}");
+    let slip = &ended.report["slip"];
+    assert!(
+        slip["delay_s"].as_f64() <= Some(0.25) && slip["missed"] == 0 && slip["false_alarms"] == 0,
+        "{slip}"
+    );
 }

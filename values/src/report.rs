@@ -165,7 +165,7 @@ pub struct Plan {
 /// A line of a plan.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Path {
-    /// Its name in the legend.
+    /// Its name in the legend; lines with one name are drawn alike and stand there once.
     pub label: String,
     /// How it is drawn.
     pub style: PathStyle,
@@ -177,7 +177,7 @@ pub struct Path {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PathStyle {
-    /// In its own colour, with a dot at the start.
+    /// In its own colour, with a dot at the start unless it is closed.
     #[default]
     Line,
     /// Dashed, on top of the others: the reference for a comparison.

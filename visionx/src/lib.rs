@@ -81,5 +81,5 @@ pub use sight::{Sight, Sighting};
 pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, StereoStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tabletop_step::{FloorStep, TabletopStep};
-pub use touch::{OwnFinger, OwnHand, TouchStep, TouchedTable};
+pub use touch::{OwnFinger, OwnHand, SlipStep, TouchStep, TouchedTable};
 pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

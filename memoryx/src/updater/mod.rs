@@ -72,7 +72,7 @@ impl Default for Settings {
 }
 
 /// Core segments of which the last observation counts alone.
-const LAST_COUNTS: [&str; 3] = ["HumanHands", "HumanPoses", "EnvironmentModels"];
+const LAST_COUNTS: [&str; 4] = ["HumanHands", "HumanPoses", "EnvironmentModels", "Slips"];
 
 /// What an observation says that is not known yet.
 #[derive(Clone, Copy)]

@@ -148,6 +148,19 @@ impl Planner {
         Some(self.nearness(nearest.0, nearest.1.distance))
     }
 
+    /// The two bodies that the guard lets come no nearer to each other with all joints at `q`, rad (m), as far as `joints` move one against the
+    /// other: the robot's own, and its hands before the boxes that [`stopped_before`](Self::stopped_before) names.
+    pub fn stopped_by(&mut self, joints: &[usize], q: &[f64]) -> Option<Nearness> {
+        self.look(q);
+        let links: Vec<[LinkId; 2]> = self.bodies.pairs().collect();
+        let moved =
+            |[a, b]: [LinkId; 2]| joints.iter().any(|&j| self.model.moves(j, a) != self.model.moves(j, b));
+        let near = self.distances.near(CLEARANCE);
+        let stopped = near.filter(|(pair, _)| self.at_goal[*pair] == STOPS && moved(links[*pair]));
+        let (pair, near) = stopped.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))?;
+        Some(self.nearness(pair, near.distance))
+    }
+
     /// A path for `joints` from one configuration to another, as all joints' positions at its corners, both ends included:
     /// between corners the joints go together in straight lines. Bodies keep 25 mm from each other and from boxes, or what they
     /// have at the start or the goal where that is less. The other joints stay as in `from`.

@@ -149,6 +149,20 @@ fn a_goal_before_which_the_guard_would_stop_is_refused() {
 }
 
 #[test]
+fn what_stops_a_hand_is_told_and_only_of_what_moves() {
+    let beside = |gap: f64| [-0.05 - RADIUS - gap, 0.0];
+    let mut planner = Planner::new(&slider(), &[wall(-0.2, 0.2)]);
+    assert_eq!(planner.stopped_by(&[0, 1], &beside(0.02)), None, "it may be touched");
+    planner = planner.stopped_before(&["wall".to_owned()]);
+    let near = planner.stopped_by(&[0, 1], &beside(0.02)).unwrap();
+    assert!(
+        [&near.first, &near.second].contains(&&"wall".to_owned()) && (near.distance_m - 0.02).abs() < 1e-3
+    );
+    assert_eq!(planner.stopped_by(&[0, 1], &beside(0.05)), None);
+    assert_eq!(planner.stopped_by(&[], &beside(0.02)), None);
+}
+
+#[test]
 fn the_same_question_has_the_same_answer() {
     let walls = [wall(-1.5, 0.5), wall(0.75, 1.5)];
     assert_eq!(slide(&walls, RIGHT, 3), slide(&walls, RIGHT, 3));

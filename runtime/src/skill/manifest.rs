@@ -87,6 +87,8 @@ pub enum MarkTime {
     Start,
     /// When it ends with `success`.
     Success,
+    /// When it ends, however it does.
+    End,
     /// When it raises this event.
     Event(String),
 }
@@ -109,6 +111,11 @@ impl Mark {
     /// A mark that is set when the skill ends with `success`.
     pub fn at_success(name: &str) -> Self {
         Self { at: MarkTime::Success, ..Self::at_start(name) }
+    }
+
+    /// A mark that is set when the skill ends, however it does.
+    pub fn at_end(name: &str) -> Self {
+        Self { at: MarkTime::End, ..Self::at_start(name) }
     }
 
     /// A mark that is set when the skill raises `event`.

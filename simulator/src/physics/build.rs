@@ -88,7 +88,18 @@ fn add_soft_box(
     physics.insert_collider(core, Some(handle));
     let reaction = FoundationReaction::default();
     let (colliders, foundation) = (vec![collider], Some(foundation));
-    Object { handle, colliders, foundation, reaction, loose: true, has_handles: false, cuboid: None }
+    let (slippery, rough) = (None, Vec::new());
+    Object {
+        handle,
+        colliders,
+        foundation,
+        reaction,
+        loose: true,
+        has_handles: false,
+        slippery,
+        rough,
+        cuboid: None,
+    }
 }
 
 /// A body whose parts are all of one density.
@@ -126,7 +137,8 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
     let reaction = FoundationReaction::default();
     let cuboid = (spec.shape == BodyShape::Box).then(|| spec.half());
     let (loose, has_handles) = (!fixed && !guided, handles > 0);
-    Object { handle, colliders, foundation: None, reaction, loose, has_handles, cuboid }
+    let (slippery, rough) = (None, Vec::new());
+    Object { handle, colliders, foundation: None, reaction, loose, has_handles, slippery, rough, cuboid }
 }
 
 /// Adds a part of a person: one with a mass moves by forces, without gravity; the others are moved.

@@ -3,14 +3,12 @@
 //! The grip begins while **both** finger pads press on an object from opposite sides: the object is then joined to the palm.
 //! Closed fingers that push something side by side hold nothing. The grip ends when a pad has pressed less than
 //! [`HOLDING_FORCE`] for [`RELEASE_AFTER`], or when the load exceeds the friction of the pads: force `F` and torque `T`
-//! (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where `Fc` is [`PAD_FRICTION`] times the sum of both
-//! pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per pad, this is 72 N and 2.2 N m. So an object can be
-//! missed, dropped and knocked out of the hand. This file
-//! decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
+//! (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where `Fc` is the pads' friction on it times the sum of both
+//! pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per pad and a friction of 0.9, this is 72 N and 2.2 N m. So an
+//! object can be missed, dropped and knocked out of the hand. This file decides; [`Plant`](super::plant::Plant) makes and breaks
+//! the joint.
 
 use nalgebra::Vector3;
-
-use super::plant::PAD_FRICTION;
 
 /// Normal force of a pad that counts as pressing, N.
 pub const HOLDING_FORCE: f64 = 1.0;
@@ -69,8 +67,9 @@ impl Grip {
         self.pause_s = (self.pause_s - dt).max(0.0);
     }
 
-    /// Advances by one step. `presses` are those of all pads on each object, `load` is that of the held object.
-    pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, dt: f64) {
+    /// Advances by one step. `presses` are those of all pads on each object, `load` is that of the held object,
+    /// and `friction` the pads' on it.
+    pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, friction: f64, dt: f64) {
         self.rest(dt);
         let Some(held) = self.held else {
             let both = |p: &Vec<PadPress>| {
@@ -91,19 +90,18 @@ impl Grip {
         let rate = dt / (LOAD_TIME + dt);
         self.load.force += (load.force - self.load.force) * rate;
         self.load.torque += (load.torque - self.load.torque) * rate;
-        let capacity = PAD_FRICTION * pads.iter().map(|p| p.force).sum::<f64>();
+        let capacity = friction * pads.iter().map(|p| p.force).sum::<f64>();
         if self.loose_s > RELEASE_AFTER {
             self.held = None;
-        } else if capacity > 0.0 && !loose && self.slips(capacity) {
+        } else if !loose && self.slips(capacity) {
             self.held = None;
             self.pause_s = SLIP_PAUSE;
         }
     }
 
     fn slips(&self, capacity: f64) -> bool {
-        let force = self.load.force.norm() / capacity;
-        let torque = self.load.torque.norm() / (capacity * CONTACT_RADIUS);
-        force * force + torque * torque > 1.0
+        let torque = self.load.torque.norm() / CONTACT_RADIUS;
+        self.load.force.norm_squared() + torque * torque > capacity * capacity
     }
 }
 
@@ -126,16 +124,16 @@ mod tests {
     #[test]
     fn both_pads_take_and_one_that_opens_drops() {
         let mut grip = Grip::default();
-        grip.step(&pads(10.0, 0.0), None, 1e-3);
+        grip.step(&pads(10.0, 0.0), None, 0.9, 1e-3);
         assert_eq!(grip.held(), None);
-        grip.step(&pads(10.0, 9.0), None, 1e-3);
+        grip.step(&pads(10.0, 9.0), None, 0.9, 1e-3);
         assert_eq!(grip.held(), Some(0));
         for _ in 0..19 {
-            grip.step(&pads(10.0, 0.0), None, 1e-3);
+            grip.step(&pads(10.0, 0.0), None, 0.9, 1e-3);
         }
         assert_eq!(grip.held(), Some(0));
         for _ in 0..3 {
-            grip.step(&pads(10.0, 0.0), None, 1e-3);
+            grip.step(&pads(10.0, 0.0), None, 0.9, 1e-3);
         }
         assert_eq!(grip.held(), None);
     }
@@ -144,10 +142,15 @@ mod tests {
     fn pads_that_push_side_by_side_hold_nothing() {
         let mut grip = Grip::default();
         for away in [Vector3::y(), Vector3::new(0.6, 0.8, 0.0), Vector3::x()] {
-            grip.step(&[vec![pad(10.0, Vector3::y()), pad(10.0, away)]], None, 1e-3);
+            grip.step(&[vec![pad(10.0, Vector3::y()), pad(10.0, away)]], None, 0.9, 1e-3);
             assert_eq!(grip.held(), None, "{away}");
         }
-        grip.step(&[vec![pad(10.0, Vector3::y()), pad(10.0, Vector3::new(0.3, -0.95, 0.0))]], None, 1e-3);
+        grip.step(
+            &[vec![pad(10.0, Vector3::y()), pad(10.0, Vector3::new(0.3, -0.95, 0.0))]],
+            None,
+            0.9,
+            1e-3,
+        );
         assert_eq!(grip.held(), Some(0));
     }
 
@@ -156,7 +159,18 @@ mod tests {
         for (force, holds) in [(70.0, true), (74.0, false)] {
             let mut grip = Grip::default();
             for _ in 0..50 {
-                grip.step(&pads(40.0, 40.0), pulled(force), 1e-3);
+                grip.step(&pads(40.0, 40.0), pulled(force), 0.9, 1e-3);
+            }
+            assert_eq!(grip.held().is_some(), holds, "{force}");
+        }
+    }
+
+    #[test]
+    fn what_is_slippery_bears_less() {
+        for (friction, force, holds) in [(0.1, 7.0, true), (0.1, 9.0, false), (0.0, 0.1, false)] {
+            let mut grip = Grip::default();
+            for _ in 0..50 {
+                grip.step(&pads(40.0, 40.0), pulled(force), friction, 1e-3);
             }
             assert_eq!(grip.held().is_some(), holds, "{force}");
         }
@@ -166,7 +180,7 @@ mod tests {
     fn a_short_peak_is_carried() {
         let mut grip = Grip::default();
         for i in 0..50 {
-            grip.step(&pads(40.0, 40.0), pulled(if i == 20 { 200.0 } else { 5.0 }), 1e-3);
+            grip.step(&pads(40.0, 40.0), pulled(if i == 20 { 200.0 } else { 5.0 }), 0.9, 1e-3);
         }
         assert_eq!(grip.held(), Some(0));
     }

@@ -13,7 +13,7 @@ use super::contacts::ExternalWrench;
 use super::convert;
 use super::grip::{Grip, Load, PadPress};
 use super::pad::Moving;
-use super::plant::{DT, Object, moving};
+use super::plant::{DT, Object, PAD_FRICTION, moving};
 use super::soft_grip::SoftGrip;
 use super::wrench::{Momentum, WristWrench};
 
@@ -151,7 +151,9 @@ impl SimulatedHand {
             let (held, outside) = self.joined().zip(outside)?;
             Some(self.wrench.load(held, &momenta[held], &outside.force, &outside.torque))
         });
-        self.grip.step(&presses, load, DT);
+        let slippery = self.grip.held().and_then(|held| objects[held].slippery);
+        let friction = slippery.map_or(PAD_FRICTION, |friction| friction.min(PAD_FRICTION));
+        self.grip.step(&presses, load, friction, DT);
     }
 
     /// Lets time pass for a hand that touches and holds nothing, or that sleeps with what it holds.

@@ -54,6 +54,8 @@ pub struct External {
     pub arm: Vector3<f64>,
     /// On each body's middle.
     pub objects: Vec<Vector3<f64>>,
+    /// The friction of bodies, by their index, that are slippery in this step.
+    pub slippery: Vec<(usize, f64)>,
 }
 
 /// A body that is no part of a robot.
@@ -69,6 +71,10 @@ pub(super) struct Object {
     pub(super) loose: bool,
     /// Whether it has handles, so that hands grip it softly.
     pub(super) has_handles: bool,
+    /// Its friction while it is slippery.
+    pub(super) slippery: Option<f64>,
+    /// The friction of its colliders before.
+    pub(super) rough: Vec<(f64, rapier::CoefficientCombineRule)>,
     /// Half the edges of a rigid box, m.
     pub(super) cuboid: Option<Vector3<f64>>,
 }
@@ -241,6 +247,7 @@ impl Plant {
             robot.joints.set_targets(&mut self.physics, *targets);
         }
         self.apply(external);
+        self.make_slippery(external);
         self.press_pads();
         self.pull_grips();
         self.lead();
@@ -254,11 +261,35 @@ impl Plant {
         self.feel(external, &momenta);
     }
 
+    /// Gives bodies that are slippery their friction, wherever they touch something rougher, and takes it from those that are no more.
+    fn make_slippery(&mut self, external: &External) {
+        for (body, object) in self.objects.iter_mut().enumerate() {
+            let friction = external.slippery.iter().find(|(slippery, _)| *slippery == body).map(|(_, f)| *f);
+            if friction == object.slippery {
+                continue;
+            }
+            let colliders = &mut self.physics.colliders;
+            if object.slippery.is_none() {
+                let own = |handle: ColliderHandle| {
+                    (colliders[handle].friction(), colliders[handle].friction_combine_rule())
+                };
+                object.rough = object.colliders.iter().copied().map(own).collect();
+            }
+            object.slippery = friction;
+            for (handle, rough) in object.colliders.iter().zip(&object.rough) {
+                let slips = |friction: f64| (friction.min(rough.0), rapier::CoefficientCombineRule::Min);
+                let (friction, rule) = friction.map_or(*rough, slips);
+                colliders[*handle].set_friction(friction);
+                colliders[*handle].set_friction_combine_rule(rule);
+            }
+        }
+    }
+
     /// Wakes arms that are commanded or touched, and lets those sleep that have rested for long enough.
     fn wake_and_rest(&mut self, targets: &[Targets<'_>], external: &External) {
         for (i, targets) in targets.iter().enumerate().take(self.robots.len()) {
             let push = if i == 0 { external.hand + external.arm } else { Vector3::zeros() };
-            if !self.robots[i].wake_and_rest(*targets, &push, &external.objects) {
+            if !self.robots[i].wake_and_rest(*targets, &push, external) {
                 continue;
             }
             let held: Vec<Option<usize>> = self.robots[i].arms.iter().map(|arm| arm.hand.joined()).collect();

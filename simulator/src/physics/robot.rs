@@ -15,6 +15,7 @@ use super::drives::Joints;
 use super::hand::SimulatedHand;
 use super::pad::{Pad, PadReaction};
 use super::people::LedHand;
+use super::plant::External;
 use crate::error::PlantError;
 use crate::start::{MountedPad, RobotErrors, RobotStart};
 
@@ -168,21 +169,24 @@ impl PlantRobot {
         })
     }
 
-    /// Decides which arms are awake in this step; returns whether that has changed. `push` is the force on the hand that works,
-    /// and `knocks` are those on the objects.
+    /// Decides which arms are awake in this step; returns whether that has changed. `push` is the force on the hand that works;
+    /// what else happens to the objects is in `external`.
     pub(super) fn wake_and_rest(
         &mut self,
         targets: (&[f64], &[f64]),
         push: &Vector3<f64>,
-        knocks: &[Vector3<f64>],
+        external: &External,
     ) -> bool {
         let mut changed = false;
         for (i, arm) in self.arms.iter_mut().enumerate() {
             let asked = arm.rest.asks_for_motion(&arm.joints, targets);
             let moves = arm.joints.iter().any(|&joint| self.joints.velocity[joint].abs() > RESTING);
-            let knocked = arm.hand.joined().and_then(|held| knocks.get(held));
+            let is_disturbed = |held: usize| {
+                external.objects.get(held).is_some_and(|knock| *knock != Vector3::zeros())
+                    || external.slippery.iter().any(|(slippery, _)| *slippery == held)
+            };
             let pushed = (i == self.working && *push != Vector3::zeros())
-                || knocked.is_some_and(|knock| *knock != Vector3::zeros());
+                || arm.hand.joined().is_some_and(is_disturbed);
             let busy = asked || pushed || moves || arm.touched;
             arm.rest.steps = if busy { 0 } else { arm.rest.steps.saturating_add(1) };
             let asleep = if arm.rest.asleep { !busy } else { arm.rest.steps >= SLEEPS_AFTER };

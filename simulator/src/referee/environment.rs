@@ -3,12 +3,13 @@
 
 use armarium_values::distance_from_box;
 use armarium_values::report::Requirement::{AtMost, Shown};
-use armarium_values::report::{Block, Cell, Figure, Requirement, Section};
+use armarium_values::report::{Block, Cell, Figure, Path, PathStyle, Plan, Requirement, Section};
 use armarium_visionx::{BulkEstimate, PinholeCamera};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use serde::Serialize;
 use serde_json::Value;
 
+use super::imitation::plan;
 use super::log::KnownSurface;
 use super::probes::{Probe, cell, figure, table_of, things};
 use super::run::JudgedRun;
@@ -390,7 +391,28 @@ fn asks(own: &Value) -> Vec<Figure> {
     figures
 }
 
-fn section(_: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
+/// What memory knows at the end, seen from above, and what is there.
+fn from_above(run: &JudgedRun<'_>) -> Plan {
+    let outline = |pose: &Isometry3<f64>, half: [f64; 2]| {
+        let corner = |(x, y)| pose * Point3::new(x * half[0], y * half[1], 0.0);
+        let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(corner);
+        corners.map(|at| [at.x, at.y]).to_vec()
+    };
+    let faces = faces(run, |begin_and_end| begin_and_end.1);
+    let there = faces.iter().filter(|face| face.normal().z > 0.9).map(|face| Path {
+        label: "what is there".into(),
+        style: PathStyle::Outline,
+        points: outline(&face.pose, face.half),
+    });
+    let known = known_at(run, u64::MAX).into_iter().map(|known| Path {
+        label: format!("known as {}", known.class),
+        style: PathStyle::Line,
+        points: outline(&known.root_from_surface, [known.size[0] / 2.0, known.size[1] / 2.0]),
+    });
+    plan("What memory knows at the end, from above", there.chain(known).collect())
+}
+
+fn section(run: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     let titles = ["Top of", "Known as", "#Looked at for", "#Height off by", "#Tilt off by"];
     let tops = table_of(&own["tops"], &titles, |top| {
         let text = |key: &str| Cell::Text(top[key].as_str().unwrap_or("-").to_owned());
@@ -406,7 +428,7 @@ fn section(_: &JudgedRun<'_>, own: &Value) -> Vec<Section> {
     if own.is_null() {
         return Vec::new();
     }
-    vec![Section::new("Surroundings", note, vec![Block::Table(tops)])]
+    vec![Section::new("Surroundings", note, vec![Block::Plan(from_above(run)), Block::Table(tops)])]
 }
 
 #[cfg(test)]

@@ -387,6 +387,7 @@ mod tests {
             duration,
             steady: true,
             by: None,
+            slippery: None,
         };
         // The hand moves from 10 s to 12.5 s, whatever moves it.
         world.disturbances = vec![force(60.0, 11.9, 0.15), force(5.0, 10.0, 1.0), force(5.0, 14.0, 1.0)];

@@ -148,6 +148,8 @@ pub struct TruthLog {
     pub(super) hypotheses: Vec<(u64, String, Option<KnownHypothesis>)>,
     /// What it told of touches, and when, ns.
     pub(super) touches: Vec<(u64, KnownTouch)>,
+    /// When it told that what a hand held slipped, ns.
+    pub(super) slips: Vec<u64>,
     /// When a link of the first robot truly began to touch a body, ns; bodies by their index.
     pub(super) contacts: Vec<(u64, LinkId, usize)>,
     /// Those that touched at last.

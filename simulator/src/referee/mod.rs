@@ -2,7 +2,7 @@
 //!
 //! It keeps a bounded log ([`TruthLog`]). Its probes compute every figure from that by pure functions ([`measure`]), so that the
 //! figures can be recomputed from a recording. Each probe is a file: `grasp`, `imitation`, `force`, `wiped`, `gestures`,
-//! `coached`, `body_coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`; `probes` is their list. The referee never tells the robot anything.
+//! `coached`, `body_coached`, `bodies`, `people`, `guiding`, `reaching`, `carrying`, `learning_together`, `environment`, `gaze`, `segmentation`, `touch`, `slip`; `probes` is their list. The referee never tells the robot anything.
 
 mod bodies;
 mod body_coached;
@@ -24,6 +24,7 @@ mod probes;
 mod reaching;
 mod run;
 mod segmentation;
+mod slip;
 #[cfg(test)]
 mod tests;
 mod touch;
@@ -50,6 +51,10 @@ use crate::world::World;
 pub enum Milestone {
     /// The hand has finished closing, and the program assumes that it holds the object.
     GraspClosed,
+    /// From here on the robot watches whether what its hand holds slips.
+    GraspWatched,
+    /// It no longer watches that.
+    WatchEnded,
     /// Learning from the demonstration has ended; from here on the robot performs the motion in free space.
     LearningEnded,
     /// The motion in free space has settled: at least one steady period follows.
@@ -115,6 +120,8 @@ impl Milestone {
         let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
         Some(match name {
             "grasp_closed" => Self::GraspClosed,
+            "grasp_watched" => Self::GraspWatched,
+            "watch_ended" => Self::WatchEnded,
             "learning_ended" => Self::LearningEnded,
             "free_space_steady" => Self::FreeSpaceSteady,
             "adaptation_started" => Self::AdaptationStarted,
@@ -223,6 +230,11 @@ impl Referee {
     /// Records that the robot's memory was told of a touch at `stamp_ns`.
     pub fn touch_known(&self, stamp_ns: u64, known: KnownTouch) {
         note(&mut self.notes().log.touches, MAX_FRAMES, (stamp_ns, known));
+    }
+
+    /// Records that the robot's memory was told at `stamp_ns` that what a hand held slipped.
+    pub fn slip_known(&self, stamp_ns: u64) {
+        note(&mut self.notes().log.slips, MAX_FRAMES, stamp_ns);
     }
 
     /// Records that a skill's activation needs to know the place of a thing in memory from `stamp_ns` on.

@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 use super::run::JudgedRun;
 use super::{
     bodies, body_coached, carrying, coached, environment, force, gaze, gestures, grasp, guiding, imitation,
-    learning_together, people, reaching, segmentation, touch, wiped,
+    learning_together, people, reaching, segmentation, slip, touch, wiped,
 };
 
 /// A probe.
@@ -26,7 +26,7 @@ pub(super) struct Probe {
 }
 
 /// All probes, in the order of the report.
-const PROBES: [&Probe; 17] = [
+const PROBES: [&Probe; 18] = [
     &grasp::PROBE,
     &imitation::PROBE,
     &force::PROBE,
@@ -44,6 +44,7 @@ const PROBES: [&Probe; 17] = [
     &gaze::PROBE,
     &segmentation::PROBE,
     &touch::PROBE,
+    &slip::PROBE,
 ];
 
 /// The figures of the probes that the world wants and that find something, by their names.

@@ -79,6 +79,9 @@ form! {
         /// Where somebody takes it in that time instead, from where it is, m: evenly, with no more force than `force` is long.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub by: Option<[f64; 3]> = None, Rule::number("m", -1.0, 1.0);
+        /// The friction of the object in that time, instead of a force, where it is more otherwise: what a hand holds slips out.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub slippery: Option<f64> = None, Rule::number("", 0.0, 2.0);
     }
 }
 

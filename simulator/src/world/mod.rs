@@ -52,7 +52,7 @@ const MAX_ACTORS: usize = 8;
 /// Most agents with eyes; each costs rendering.
 const MAX_AGENTS: usize = 8;
 /// The names of the referee's probes.
-pub const PROBES: [&str; 17] = [
+pub const PROBES: [&str; 18] = [
     "grasp",
     "imitation",
     "force",
@@ -70,6 +70,7 @@ pub const PROBES: [&str; 17] = [
     "gaze",
     "segmentation",
     "touch",
+    "slip",
 ];
 /// Most entries of another list.
 const MAX_LIST: usize = 1000;
@@ -502,6 +503,10 @@ impl World {
                 let message = format!("there is no object `{}`", disturbance.knock);
                 let help = Some(format!("known: {}", names.join(", ")));
                 findings.error_help(code::REFERENCE, place(root, "disturbances", i, "knock"), message, help);
+            }
+            if disturbance.slippery.is_some() && [HAND, ARM].contains(&disturbance.knock.as_str()) {
+                let message = "only an object gets slippery, not the robot";
+                findings.error(code::VALUE, place(root, "disturbances", i, "slippery"), message);
             }
         }
         for (i, body) in self.bodies.iter().enumerate() {

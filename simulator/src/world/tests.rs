@@ -71,6 +71,8 @@ fn impossible_worlds_are_refused() {
     assert_eq!(findings("objects: [{at: [2, 2]}]"), vec![(1, 16, code::VALUE)]);
     assert_eq!(findings("coach: {coaching: [{at: 1, gesture: point_one, offset: [0, 0, 0.1]}]}").len(), 1);
     assert_eq!(findings("disturbances: [{knock: spunge}]").len(), 1);
+    assert_eq!(findings("disturbances: [{knock: hand, slippery: 0.1}]").len(), 1);
+    assert!(findings("disturbances: [{knock: sponge, slippery: 0.1}]").is_empty());
     assert_eq!(findings("objects: [{mass: 2, stiffness: 800, size: [0.1, 0.1, 0.02]}]").len(), 1);
     assert_eq!(findings("objects: [{name: a}, {name: a}]").len(), 1);
     assert_eq!(findings("table: {height: .nan}").len(), 1);

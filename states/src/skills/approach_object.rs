@@ -81,14 +81,21 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 /// Looks for what begins to move with the hand.
 async fn eyes(equipment: &Equipment, arm: &LeasedArm, tcp: &Isometry3<f64>) -> Result<Sight, Failure> {
     let hand = hand(equipment.robot.model(), &arm.limb)?;
-    let grasped: Point3<f64> = tcp * held_in_tcp(hand);
-    let table = ContactPlane::known_under(equipment.remembered(), &grasped).await?.ok_or_else(|| {
+    let table = table_under(equipment, &(tcp * held_in_tcp(hand))).await?.ok_or_else(|| {
         Failure::new("memory knows no table under the hand; LocateObject or ModelEnvironment finds it where the cameras give depth")
     })?;
-    let table = TouchedTable { at: table.at(grasped.x, grasped.y), normal: table.normal() };
     let own = own_hand(equipment, &arm.limb)?;
     let camera = equipment.images.calibration().camera;
     Ok(equipment.look(TouchStep::new(camera, &hand.name, table, own)))
+}
+
+/// The table that memory knows under a place (root frame), if any.
+pub(crate) async fn table_under(
+    equipment: &Equipment,
+    place: &Point3<f64>,
+) -> Result<Option<TouchedTable>, Failure> {
+    let known = ContactPlane::known_under(equipment.remembered(), place).await?;
+    Ok(known.map(|table| TouchedTable { at: table.at(place.x, place.y), normal: table.normal() }))
 }
 
 /// Moves along the fingers until the way is done or something is touched.

@@ -9,11 +9,12 @@ use armarium_values::{Type, Unit, Value};
 use nalgebra::{Isometry3, Translation3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
+use crate::around::stops_short;
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, held_in_tcp, towards_wrist};
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
-use crate::skills::move_tcp::tolerances;
+use crate::skills::move_tcp::{LATE, tolerances};
 
 /// How often memory is asked, s.
 const ASKED: f64 = 0.02;
@@ -21,6 +22,8 @@ const ASKED: f64 = 0.02;
 const LOST: f64 = 3.0;
 /// So exactly the thing's place is to be known, m; one that is further from where it stood has moved.
 const WITHIN: f64 = 0.01;
+/// A hand that is slower than this, m/s, stands.
+const STANDS: f64 = 0.01;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -107,6 +110,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     // Where the thing stands, and for how long it and the hand have rested, s.
     let (mut stands, mut rested) = (begin, 0.0);
     let (mut there, mut reached_for) = (grasp, None);
+    // For how long the hand has stood beside its place, s, and whether it takes another posture for that.
+    let (mut short, mut turns) = (0.0, false);
     let (mut waited, mut linear, mut angular) = (ASKED, Vector3::zeros(), Vector3::zeros());
     loop {
         let (sample, dt) = senses.next().await?;
@@ -125,6 +130,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             let observation = known.map(|_| ServoObservation { hand, target });
             let command = law.step(waited, observation.as_ref()).map_err(failed)?;
             let near = command.distance <= position && command.angle <= angle;
+            let is_short = !near && arm.tcp_velocity(&sample).norm() < STANDS;
+            short = if is_short { short + waited } else { 0.0 };
+            turns &= !near;
+            if short > LATE {
+                (short, turns) = (0.0, arm.needs_another_posture(&sample, &target, command.distance));
+            }
             rested += waited;
             if !known.is_some_and(|place| near && (place - stands).norm() < WITHIN) {
                 (stands, rested) = (known.unwrap_or(stands), 0.0);
@@ -139,9 +150,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                     return Err(Failure::new(format!("memory has not known for some time where `{id}` is")));
                 }
                 _ => {
+                    let why = stops_short(&arm, &sample).await?;
                     return Err(Failure::new(format!(
-                        "the hand did not come to rest over `{id}`: it is {:.0} mm and {:.2} rad off; does the thing stand \
-                         still at times, and is it within reach?",
+                        "the hand did not come to rest over `{id}`: it is {:.0} mm and {:.2} rad off; the thing has to \
+                         stand still for that{why}",
                         command.distance * 1e3,
                         command.angle
                     )));
@@ -149,7 +161,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             }
             (waited, linear, angular) = (0.0, command.linear, command.angular);
         }
-        arm.twist(&sample, linear, angular)?;
+        if turns {
+            turns = !arm.take_posture(&sample)?;
+        } else {
+            arm.twist(&sample, linear, angular)?;
+        }
     }
 }
 

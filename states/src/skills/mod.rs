@@ -47,6 +47,7 @@ mod tare;
 mod verify_grasp;
 mod vision_coaching;
 mod visual_servo;
+mod watch_grasp;
 mod weigh_hand;
 
 use std::sync::Arc;
@@ -65,7 +66,7 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         look_at look_around level_cameras model_environment
         open_hand close_hand calibrate_hand_eye locate_object recall_object plan_grasp plan_put
         approach_object visual_servo bimanual_servo
-        tare reset_stop shape_hand weigh_hand verify_grasp attach_object
+        tare reset_stop shape_hand weigh_hand verify_grasp watch_grasp attach_object
         movement_imitation imitate_motion recall_motion keep_motion
         force_adaptation execute_motion play_motion force_coaching force_guiding
         squeeze_together carry_together learn_together put_down_together

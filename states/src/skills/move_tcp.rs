@@ -6,7 +6,7 @@ use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Vector3};
 
 use crate::arm::{LeasedArm, Senses, moves_the_arm};
-use crate::around::{Around, follow};
+use crate::around::{Around, follow, stops_short};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
@@ -15,7 +15,7 @@ use crate::motions::failed;
 const NEAR_THE_GOAL: f64 = 0.02;
 
 /// How long after the end of its line the TCP may still be on its way before the arm takes another posture, s.
-const LATE: f64 = 1.0;
+pub(crate) const LATE: f64 = 1.0;
 /// A force that the guard does not let a hand come to, N.
 pub(crate) const NO_LIMIT: f64 = 1e3;
 
@@ -83,7 +83,7 @@ pub(crate) async fn move_to(
     let mut line = StraightLine::new(arm.tcp(&senses.newest()), target, speed).map_err(failed)?;
     let feels = reached.force < NO_LIMIT;
     let free = if feels { arm.force(&senses.newest())? } else { Vector3::zeros() };
-    let (mut elapsed, mut pulled) = (0.0, false);
+    let (mut elapsed, mut pulled, mut turns) = (0.0, false, false);
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
@@ -96,23 +96,28 @@ pub(crate) async fn move_to(
             )));
         }
         let point = line.step(dt).map_err(failed)?;
-        arm.track(&sample, &point.pose, point.linear, point.angular)?;
+        if turns {
+            turns = !arm.take_posture(&sample)?;
+        } else {
+            arm.track(&sample, &point.pose, point.linear, point.angular)?;
+        }
         let tcp = arm.tcp(&sample);
         let distance = (target.translation.vector - tcp.translation.vector).norm();
         let angle = target.rotation.angle_to(&tcp.rotation);
+        let there = distance < reached.position && angle < reached.angle;
         // It must end at rest, so that the next skill starts with a still hand.
-        if line.rested(0.15) && distance < reached.position && angle < reached.angle {
+        if !turns && line.rested(0.15) && there {
             return Ok(Outcome::success().with("tcp", pose_value(&tcp)));
         }
+        turns &= !there;
         if line.rested(LATE) && !pulled {
-            // Joints may stand at limits that others would spare them.
-            arm.pull_towards_pose(&sample, &target);
+            turns = arm.needs_another_posture(&sample, &target, distance);
             pulled = true;
         }
         if elapsed > reached.timeout {
+            let why = stops_short(arm, &sample).await?;
             return Err(Failure::new(format!(
-                "the TCP was not at its target within {:.0} s: it is {:.0} mm and {angle:.2} rad away; is the target \
-                 within reach?",
+                "the TCP was not at its target within {:.0} s: it is {:.0} mm and {angle:.2} rad away{why}",
                 reached.timeout,
                 distance * 1e3,
             )));

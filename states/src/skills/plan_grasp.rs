@@ -1,5 +1,6 @@
 //! `PlanGrasp`: chooses a grasp of an object straight against the surface on which it stands: the yaw of the hand for which the
-//! arm has the most margin to its joint limits, if possible without a finger that comes down on another thing that memory knows.
+//! arm has the most margin to its joint limits, and how wide the hand opens: as wide as it can without a finger that comes down on another
+//! thing that memory knows.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -25,6 +26,11 @@ const MISALIGNMENT_COST: f64 = 1.0;
 /// What it costs, as margin in rad, that a finger would come down on another thing, and how near to one the middle of a pad may come, m.
 const MEETING_COST: f64 = 1.0;
 const BESIDE: f64 = 0.012;
+/// Steps by which the hand is less open than it can be, m, and what each metre of that costs, as margin in rad.
+const NARROWER: f64 = 0.01;
+const NARROW_COST: f64 = 5.0;
+/// How far the hand stays from its widest opening, m.
+const FROM_WIDEST: f64 = 0.005;
 /// How far over the surface the fingers end, m.
 const FINGERS_END: f64 = 0.005;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
@@ -45,6 +51,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     )
     .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
     .output("pre_pose", Type::Pose, "Pose of the TCP over it.")
+    .output("aperture", Type::quantity(Unit::M), "Distance of the open finger pads, so that none comes down on something else.")
     .output("object_pose", Type::Pose, "Where memory believes the object to be.");
     equipment::skill(equipment, names_the_arm(manifest), run)
 }
@@ -76,12 +83,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let opening = widest_opening(model, hand);
     let reach = Reach { model, joints: &joints, tcp: tcp_of(arm)?, near: &ready };
     let down = surface.normal().scale((class.size[2] / 2.0 - FINGERS_END).max(0.0));
-    let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>)> = None;
+    let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>, f64)> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
         let across = if quarter % 2 == 0 { length } else { width };
         for misalignment in MISALIGNMENTS {
-            if needed_opening(across, misalignment, hand.pad_width) + 2.0 * CLEARANCE > opening {
+            let needed = needed_opening(across, misalignment, hand.pad_width) + 2.0 * CLEARANCE;
+            if needed > opening {
                 continue;
             }
             let hand_yaw = yaw + f64::from(quarter) * FRAC_PI_2 + misalignment;
@@ -95,19 +103,21 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             }
             match reach.margin(&poses, &mut random) {
                 Ok(margin) => {
-                    let meets = comes_down_on(&others, &pads(hand, &grasp, opening), &down);
-                    let score = margin
-                        - MISALIGNMENT_COST * misalignment.abs()
-                        - if meets { MEETING_COST } else { 0.0 };
+                    let meets = |aperture: f64| comes_down_on(&others, &pads(hand, &grasp, aperture), &down);
+                    let widest = (opening - FROM_WIDEST).max(needed);
+                    let free = widest_free(widest, needed, meets);
+                    let aperture = free.unwrap_or(widest);
+                    let cost = free.map_or(MEETING_COST, |free| NARROW_COST * (widest - free));
+                    let score = margin - MISALIGNMENT_COST * misalignment.abs() - cost;
                     if best.is_none_or(|(most, ..)| score > most) {
-                        best = Some((score, grasp, pre));
+                        best = Some((score, grasp, pre, aperture));
                     }
                 }
                 Err(missing) => nearest = nearest.min(missing),
             }
         }
     }
-    let Some((_, grasp, pre)) = best else {
+    let Some((_, grasp, pre, aperture)) = best else {
         if nearest.is_infinite() {
             return Err(Failure::new(format!(
                 "the object `{id}` is {:.0} mm wide; the hand opens to {:.0} mm",
@@ -126,7 +136,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     };
     let planned =
         Outcome::success().with("grasp_pose", pose_value(&grasp)).with("pre_pose", pose_value(&pre));
-    Ok(planned.with("object_pose", pose_value(&object)))
+    Ok(planned.with("aperture", aperture).with("object_pose", pose_value(&object)))
+}
+
+/// The widest aperture from `widest` down to `needed`, m, with which no finger meets anything; `None` if there is none.
+fn widest_free(widest: f64, needed: f64, meets: impl Fn(f64) -> bool) -> Option<f64> {
+    let steps = ((widest - needed) / NARROWER) as u32;
+    (0..=steps).map(|step| widest - f64::from(step) * NARROWER).find(|aperture| !meets(*aperture))
 }
 
 /// Where the middles and the edges of the open pads are at a grasp, root frame, m.
@@ -192,6 +208,14 @@ mod tests {
         };
         let either_way = [0.0, FRAC_PI_2].map(meets);
         assert!(either_way.contains(&true) && either_way.contains(&false), "{either_way:?}");
+    }
+
+    #[test]
+    fn the_hand_is_as_open_as_what_is_beside_lets_it() {
+        let free = |most: f64| widest_free(0.125, 0.08, |aperture| aperture > most);
+        assert_eq!(free(0.2), Some(0.125));
+        assert!((free(0.11).unwrap() - 0.105).abs() < 1e-9);
+        assert_eq!(free(0.07), None);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! A top view: areas, and lines over them. x to the right, y up, equal scales.
 
+use std::collections::BTreeSet;
+
 use armarium_values::report::{Cells, Path, PathStyle, Plan, Tone};
 use image::ImageEncoder as _;
 
@@ -17,16 +19,20 @@ fn frame(x: [f64; 2], y: [f64; 2], entries: &[(String, String, Key)]) -> Axes {
     Axes { left, top: 26.0 + keys, width, height, x, y }.with_equal_units()
 }
 
-/// The class of each path; lines and references without an own colour are numbered in order.
+/// The class of each path; lines without an own colour are numbered in order, and those with one label have one.
 fn classes(paths: &[Path]) -> Vec<String> {
-    let mut lines = 0;
+    let mut labels: Vec<String> = Vec::new();
     let class = |path: &Path| match path.style {
         PathStyle::Reference => "line demonstrated".to_owned(),
         PathStyle::Outline => "line outline".to_owned(),
         PathStyle::Overlay => "line over".to_owned(),
         PathStyle::Line => {
-            lines += 1;
-            format!("line c{}", (lines - 1) % 6 + 1)
+            let known = labels.iter().position(|label| *label == path.label);
+            let number = known.unwrap_or_else(|| {
+                labels.push(path.label.clone());
+                labels.len() - 1
+            });
+            format!("line c{}", number % 6 + 1)
         }
     };
     paths.iter().map(class).collect()
@@ -51,9 +57,11 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
     }
     let kinds = plan.cells.iter().flat_map(|cells| &cells.kinds);
     let kinds = kinds.map(|(label, tone)| (label.clone(), area_class(*tone).to_owned(), Key::Area));
-    let entries: Vec<_> = kinds
+    let mut entries: Vec<_> = kinds
         .chain(lines.iter().map(|(path, class)| (path.label.clone(), (*class).clone(), Key::Line)))
         .collect();
+    let mut named = BTreeSet::new();
+    entries.retain(|(label, class, _)| named.insert((label.clone(), class.clone())));
     let axes = frame(x, y, &entries);
     let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, &plan.title);
     legend(&mut svg, [axes.left, 2.0], axes.width, &entries);
@@ -70,7 +78,9 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
         for (path, class) in lines {
             let finite = path.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
             let points: Vec<[f64; 2]> = thinned(finite.map(|p| axes.point(p[0], p[1])));
+            let is_closed = path.points.len() > 1 && path.points.first() == path.points.last();
             if matches!(path.style, PathStyle::Line | PathStyle::Reference)
+                && !is_closed
                 && let Some(start) = points.first()
             {
                 svg.circle(*start, 4.0, &class.replace("line", "dot"));
@@ -173,6 +183,19 @@ mod tests {
         assert!(draw(&plan(cells(vec![1; 5], f64::NAN))).is_none());
         assert!(draw(&plan(cells(vec![1; 5], 0.01))).is_some());
         assert!(draw(&plan(cells(vec![9; 5], 0.01))).is_some(), "a kind without a name is nothing");
+    }
+
+    #[test]
+    fn lines_of_one_name_are_one_kind_and_closed_ones_have_no_dot() {
+        let path = |label: &str, last: [f64; 2]| Path {
+            label: label.into(),
+            points: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], last],
+            ..Path::default()
+        };
+        let drawn = |paths: Vec<Path>| draw(&Plan { paths, ..Plan::default() }).unwrap();
+        let closed = drawn(vec![path("one", [0.0; 2]), path("one", [0.0; 2]), path("two", [0.0; 2])]);
+        assert_eq!((closed.matches(">one<").count(), closed.matches(">two<").count()), (1, 1), "{closed}");
+        assert!(!closed.contains("<circle") && drawn(vec![path("open", [0.0, 1.0])]).contains("<circle"));
     }
 
     #[test]

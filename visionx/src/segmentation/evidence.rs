@@ -21,6 +21,10 @@ const PART: f64 = 0.12;
 const TOGETHER: i32 = 4;
 /// What moved as one is no thing yet while a larger share of it than this is seen not to be where it would have come.
 const ASTRAY: f64 = 0.08;
+/// What moved as one is no thing yet while it is less convex than this, as two things side by side are, or a piece of one; but after so
+/// many pushes it is: as often as `ChoosePush` pushes one at most, if it is not told otherwise.
+const CONVEX: f64 = 0.97;
+const PUSHED_ENOUGH: u32 = 3;
 /// Room around what is compared, cells.
 const MARGIN: i32 = 50;
 
@@ -33,8 +37,8 @@ struct Part {
 
 /// What `known` becomes by a look at the table after `pushed` was pushed; new hypotheses are named from `next` on.
 ///
-/// What has moved by one motion is one thing, and confirmed if all around it did otherwise and all of it is where the motion brings it; a
-/// hypothesis of which a part moved and a part did not is split; what is not there any more is dropped. Hypotheses that moved together are
+/// What has moved by one motion is one thing, and confirmed if all around it did otherwise, all of it is where the motion brings it, and it
+/// is convex or was pushed three times; a hypothesis of which a part moved and a part did not is split; what is not there any more is dropped. Hypotheses that moved together are
 /// one from now on, and not confirmed, as one may have pushed the other: that, the next push tells.
 pub fn told_apart(
     known: &[Hypothesis],
@@ -61,7 +65,11 @@ pub fn told_apart(
             thing.confirmed &= astray(thing, &motions[k], after) < ASTRAY;
         }
     }
-    seen_again(things, &motions, after, next)
+    let mut again = seen_again(things, &motions, after, next);
+    for thing in again.iter_mut().filter(|thing| !was_confirmed(known, &thing.name)) {
+        thing.confirmed &= thing.convexity() > CONVEX || thing.pushes >= PUSHED_ENOUGH;
+    }
+    again
 }
 
 /// What hypotheses say of the table, over what was seen of it later; where they say nothing it was free.

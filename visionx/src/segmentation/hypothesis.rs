@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use imageproc::geometry::convex_hull;
+use imageproc::point::Point as Corner;
 use nalgebra::{Isometry3, Point2, UnitQuaternion, Vector3};
 
 use super::top_view::{CELL, CellIndex, TopCell, TopView, around, beside, mean_of, middle_of};
@@ -15,6 +17,8 @@ const BORDER: usize = 5;
 const LEVEL: f64 = 0.0015;
 /// Bytes of a packed cell: column, row, height in 0.1 mm (two each), and three of colour.
 const PACKED: usize = 9;
+/// No thing is wider than so many cells (2 m), whatever memory says.
+const WIDEST: i32 = 500;
 
 /// What may be one thing: its upper surface, and what is known of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,14 +51,20 @@ impl Hypothesis {
         bytes
     }
 
-    /// The hypothesis whose surface these bytes are; what is left over at their end is ignored.
+    /// The hypothesis whose surface these bytes are; what is left over at their end is ignored, and so are cells
+    /// that are too far from the first one.
     pub fn unpacked(name: &str, bytes: &[u8]) -> Self {
         let cells = bytes.as_chunks::<PACKED>().0.iter().map(|[a, b, c, d, e, f, red, green, blue]| {
             let place = (i32::from(i16::from_le_bytes([*a, *b])), i32::from(i16::from_le_bytes([*c, *d])));
             let height = f64::from(u16::from_le_bytes([*e, *f])) * 1e-4;
             (place, TopCell { height, color: Vector3::new(*red, *green, *blue).map(f64::from) })
         });
-        Self::new(name.to_owned(), cells.collect())
+        let mut cells = cells.peekable();
+        let (x, y) = cells.peek().map_or((0, 0), |(place, _)| *place);
+        let is_near = |(place, _): &(CellIndex, TopCell)| {
+            (place.0 - x).abs() <= WIDEST && (place.1 - y).abs() <= WIDEST
+        };
+        Self::new(name.to_owned(), cells.filter(is_near).collect())
     }
 
     /// The middle of its surface, root frame, m.
@@ -86,6 +96,22 @@ impl Hypothesis {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), flat.angle);
         let size = Vector3::new(flat.size[0] + CELL, flat.size[1] + CELL, height);
         Some((Isometry3::from_parts(middle.coords.into(), turn), size))
+    }
+
+    /// Its share of the cells in its convex hull: 1 where it is convex.
+    pub(super) fn convexity(&self) -> f64 {
+        let cells: Vec<Corner<i32>> = self.cells.keys().map(|place| Corner::new(place.0, place.1)).collect();
+        let hull = convex_hull(cells);
+        let Some(begin) = hull.first() else { return 1.0 };
+        let (mut twice_area, mut border) = (0, 0);
+        for (i, a) in hull.iter().enumerate() {
+            let b = &hull[(i + 1) % hull.len()];
+            twice_area += (a.x - begin.x) * (b.y - begin.y) - (a.y - begin.y) * (b.x - begin.x);
+            border += gcd((b.x - a.x).unsigned_abs(), (b.y - a.y).unsigned_abs()) as i32;
+        }
+        // Pick's theorem: how many cells a polygon between middles of cells holds.
+        let held = (twice_area.abs() + border) / 2 + 1;
+        self.cells.len() as f64 / f64::from(held)
     }
 
     /// Whether a cell of another one is within `reach` cells of one of its own.
@@ -183,6 +209,10 @@ pub(super) fn spread(
         }
     }
     found
+}
+
+fn gcd(a: u32, b: u32) -> u32 {
+    if b == 0 { a } else { gcd(b, a % b) }
 }
 
 /// The connected patches of cells of one label, each with its label.

@@ -158,6 +158,23 @@ fn what_is_not_all_where_the_motion_brings_it_is_no_thing_yet() {
 }
 
 #[test]
+fn two_that_go_together_once_more_are_no_thing_while_they_are_not_convex() {
+    let left = Thing::new((0.2, 0.5, 0.0), [0.06, 0.06], RED);
+    let right = Thing { height: 0.054, ..Thing::new((0.26, 0.52, 0.0), [0.06, 0.06], BLUE) };
+    let mut now = first(&[left, right]);
+    assert!(now.len() == 2 && now.iter().all(|hypothesis| hypothesis.convexity() == 1.0));
+    let mut pair = [left, right];
+    for pushes in 1..=3 {
+        let along = about(&pair[0], (0.05, 0.0, 0.2));
+        pair = pair.map(|thing| thing.moved(&along));
+        let name = of(&now, &pair[0]).0.name.clone();
+        now = told_apart(&now, &table(&pair), Some(&name), &mut 2);
+        assert!(now.len() == 1 && now[0].pushes == pushes && now[0].convexity() < 0.95);
+        assert_eq!(now[0].confirmed, pushes == 3, "a thing may have such a shape");
+    }
+}
+
+#[test]
 fn what_is_new_is_a_hypothesis_of_its_own() {
     let thing = Thing::new((0.2, 0.5, 0.3), [0.07, 0.06], RED);
     let other = Thing::new((0.35, 0.6, 0.0), [0.06, 0.06], BLUE);
@@ -173,6 +190,9 @@ fn a_surface_is_the_same_after_memory() {
     assert_eq!(again.cells.keys().collect::<Vec<_>>(), known.cells.keys().collect::<Vec<_>>());
     let off = again.cells.values().zip(known.cells.values()).map(|(a, b)| (a.height - b.height).abs());
     assert!(off.fold(0.0, f64::max) <= 1e-4);
+    // Bytes that nobody packed.
+    let hostile: Vec<u8> = (0..900_u32).map(|i| (i * 37 % 251) as u8).collect();
+    assert!(Hypothesis::unpacked("x", &hostile).convexity().is_finite());
     let looks = Appearance::of(&known);
     assert_eq!(Appearance::from_numbers(&looks.numbers()), Some(looks));
     assert_eq!(Appearance::from_numbers(&[1.0]), None);
@@ -190,6 +210,16 @@ proptest! {
         let found = rigid(&pairs).unwrap();
         prop_assert!((found * Point2::origin() - truth * Point2::origin()).norm() < 1e-9);
         prop_assert!(found.rotation.angle_to(&truth.rotation).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_box_is_convex_however_it_is_turned(turn in -3.0..3.0f64, w in 0.05..0.1f64, off in -0.03..0.03f64) {
+        let thing = Thing::new((0.2, 0.5, turn), [w, 0.06], RED);
+        prop_assert_eq!(first(&[thing])[0].convexity(), 1.0);
+        let corner = thing.at * Isometry2::translation(w / 2.0 + 0.03, off.signum() * 0.02 + off);
+        let other = Thing { at: corner, ..Thing::new((0.0, 0.0, 0.0), [0.06, 0.06], RED) };
+        let two = first(&[thing, other]).remove(0);
+        prop_assert!(two.convexity() < 0.97, "{}", two.convexity());
     }
 
     #[test]

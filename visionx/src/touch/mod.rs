@@ -1,12 +1,13 @@
-//! Touching seen: while a hand approaches a thing, what stood still begins to move as the hand does.
+//! Touching and slipping seen: while a hand approaches a thing, what stood still begins to move as the hand does.
 //!
 //! A wrist does not feel a thing of 20 to 100 g that it pushes along a table. The left eye sees it: patches of what rises from the
 //! table near the fingers, which had been still, are then found where the hand's motion would have brought them, and not where
-//! they were.
+//! they were. While it lifts a thing that slips, what went with the hand stays behind.
 //!
 //! - [`OwnHand`]: where the hand is at a time, and the boxes that the own body fills, whose pixels say nothing.
 //! - `picture`: a picture with what is known of its time. `patches`: compares small parts of two pictures.
-//! - [`TouchStep`]: the processing step.
+//! - `witnesses`: what patches tell together.
+//! - [`TouchStep`], [`SlipStep`]: the processing steps.
 //!
 //! It needs depth: only by that is a shadow on the table told from a thing.
 //!
@@ -17,14 +18,20 @@
 
 mod patches;
 mod picture;
+mod slip;
 mod step;
 #[cfg(test)]
 mod tests;
+mod witnesses;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 
 use crate::own_part::OwnPart;
+pub use slip::SlipStep;
 pub use step::TouchStep;
+
+/// Where the own hand was at a time (ns); `None` where that is not known.
+type HandAt = Box<dyn Fn(u64) -> Option<OwnHand> + Send>;
 
 /// A finger with which a hand may touch something.
 #[derive(Clone, Debug, PartialEq)]

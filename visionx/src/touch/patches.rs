@@ -122,12 +122,20 @@ pub(super) fn align(
 /// How a patch of an earlier picture is found in a later one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PatchMotion {
-    /// Where it was.
+    /// Where it would be without the motion that is looked for.
     Still,
-    /// Where the hand's motion, or a part of it, would have brought it.
+    /// Where that motion, or a part of it, would have brought it.
     Moved,
     /// Nowhere on that way: something else hides it, or it has changed.
     Otherwise,
+}
+
+/// Patches that would look as like as this after the motion say nothing.
+const PLAIN: f64 = 9.0;
+
+/// Whether a patch looks the same beside itself by a motion, so that it does not tell of that.
+pub(super) fn is_plain((image, at): (&RgbImage, Point2<i32>), motion: &Vector2<f64>) -> Option<bool> {
+    Some(difference((image, at), (image, &(at.map(f64::from) + motion)))? < PLAIN)
 }
 
 /// A patch is taken to be where it fits better than elsewhere by this factor.
@@ -136,20 +144,40 @@ const BETTER: f64 = 0.65;
 const CHANGED: f64 = 14.0;
 /// A still patch may be beside its place by this along both axes, px: pictures have pixels, and the camera's motion is not known exactly.
 const BESIDE: f64 = 0.5;
-/// The shares of the hand's motion along which, and across which, a patch is looked for.
+/// The shares of the motion along which, and across which, a patch is looked for.
 const ALONG: [f64; 6] = [0.25, 0.4, 0.6, 0.8, 1.0, 1.2];
+/// The index of those from which on they are most of the motion.
+const MOST_OF_IT: usize = 2;
 const ACROSS: [f64; 5] = [-0.4, -0.2, 0.0, 0.2, 0.4];
 
-/// Where a patch has gone that would be at `still` in the other picture, or at `still + motion` if it moved with the hand.
+/// Where a patch has gone that would be at `still` in the other picture, or at `still + motion` if it made that motion, or a part of it.
 pub(super) fn find(
     patch: (&RgbImage, Point2<i32>),
     other: &RgbImage,
+    places: (&Point2<f64>, &Vector2<f64>),
+) -> Option<PatchMotion> {
+    find_along(patch, other, places, &ALONG)
+}
+
+/// The same where only most of the motion counts.
+pub(super) fn find_far(
+    patch: (&RgbImage, Point2<i32>),
+    other: &RgbImage,
+    places: (&Point2<f64>, &Vector2<f64>),
+) -> Option<PatchMotion> {
+    find_along(patch, other, places, &ALONG[MOST_OF_IT..])
+}
+
+fn find_along(
+    patch: (&RgbImage, Point2<i32>),
+    other: &RgbImage,
     (still, motion): (&Point2<f64>, &Vector2<f64>),
+    along: &[f64],
 ) -> Option<PatchMotion> {
     let beside = [-BESIDE, 0.0, BESIDE];
     let around = beside.iter().flat_map(|x| beside.iter().map(move |y| Vector2::new(*x, *y)));
     let across = Vector2::new(-motion.y, motion.x);
-    let carried = ALONG.iter().flat_map(|s| ACROSS.iter().map(move |t| motion * *s + across * *t));
+    let carried = along.iter().flat_map(|s| ACROSS.iter().map(move |t| motion * *s + across * *t));
     let least = |shifts: &mut dyn Iterator<Item = Vector2<f64>>| {
         shifts.filter_map(|shift| difference(patch, (other, &(still + shift)))).min_by(f64::total_cmp)
     };
@@ -204,7 +232,11 @@ mod tests {
         ] {
             let second = smooth(&pattern(shift));
             assert_eq!(find(patch, &second, (&still, &motion)), Some(found), "{shift}");
+            assert_eq!(find_far(patch, &second, (&still, &motion)), Some(found), "{shift}");
         }
         assert_eq!(find(patch, &first, (&Point2::new(2.0, 30.0), &motion)), None);
+        let little = smooth(&pattern(0.25 * motion));
+        assert_eq!(find(patch, &little, (&still, &motion)), Some(PatchMotion::Moved));
+        assert_ne!(find_far(patch, &little, (&still, &motion)), Some(PatchMotion::Moved));
     }
 }

@@ -1,17 +1,23 @@
 //! A picture of the hand on its way, with what is known of its time: where camera and hand were, and what rises from the table near the
 //! fingers.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point2, Point3, Vector2, Vector3};
 
 use super::patches::{HALF, align, smooth};
-use super::{OwnFinger, OwnHand, OwnPart, TouchedTable};
+use super::{OwnHand, OwnPart, TouchedTable};
+use crate::annotate;
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, RgbImage, StereoFrame};
 use crate::mask::Region;
 use crate::outline::{ConvexOutline, box_outline};
 
+/// How many pictures are kept.
+const KEPT: usize = 12;
+/// How far the fingers must have moved in the picture between two pictures that are compared, px.
+const APART: f64 = 3.0;
 /// Distance of patches, px, and of the pixels by which pictures are aligned.
 const GRID: u32 = 4;
 /// What rises less from the table, m, may be a shadow on it.
@@ -20,10 +26,56 @@ const RAISED: f64 = 0.010;
 const NEAR: f64 = 0.12;
 /// How far from the fingers' middles they reach, m.
 const FINGER: f64 = 0.05;
+/// What is farther from where the hand holds is not in it, m, nor what is farther aside than its fingers by this.
+const IN_HAND: f64 = 0.12;
+const ASIDE: f64 = 0.015;
 /// What is so much nearer than a point, or farther, is something else, m.
 const BEFORE: f64 = 0.02;
 /// Own parts may be beside where they are known to be by this, px.
 const MARGIN: f64 = 3.0;
+
+/// The newest pictures.
+#[derive(Default)]
+pub(super) struct Pictures(VecDeque<Picture>);
+
+impl Pictures {
+    pub(super) fn push(&mut self, picture: Picture) {
+        self.0.push_back(picture);
+        if self.0.len() > KEPT {
+            self.0.pop_front();
+        }
+    }
+
+    pub(super) fn oldest(&self) -> Option<&Picture> {
+        self.0.front()
+    }
+
+    pub(super) fn newest(&self) -> Option<&Picture> {
+        self.0.back()
+    }
+
+    /// Three pictures, the newest last, between which the hand has moved enough.
+    pub(super) fn compared(&self) -> Option<[&Picture; 3]> {
+        let (before, then, now) = self.moved()?;
+        Some([before?, then, now])
+    }
+
+    /// The same; where the hand has moved enough only once, without the first.
+    pub(super) fn moved(&self) -> Option<(Option<&Picture>, &Picture, &Picture)> {
+        let apart = |later: &Picture, earlier: &&Picture| later.fingers_moved_since(earlier) >= APART;
+        let mut pictures = self.0.iter().rev();
+        let now = pictures.next()?;
+        let then = pictures.find(|earlier| apart(now, earlier))?;
+        Some((pictures.find(|earlier| apart(then, earlier)), then, now))
+    }
+
+    /// Draws where the own body is.
+    pub(super) fn draw(&self, image: &mut RgbImage) {
+        for outline in self.newest().iter().flat_map(|picture| &picture.own) {
+            annotate::polygon(image, outline.corners(), [255, 255, 0]);
+        }
+    }
+}
 
 /// The left picture, smoothed.
 pub(super) struct Picture {
@@ -70,9 +122,14 @@ impl Picture {
 
     /// Every so many pixels around the fingers.
     pub(super) fn around_fingers(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
+        let middles: Vec<Point3<f64>> = self.hand.fingers.iter().map(|finger| finger.part.middle()).collect();
+        self.around(&middles)
+    }
+
+    /// Every so many pixels around points (root frame).
+    pub(super) fn around(&self, points: &[Point3<f64>]) -> impl Iterator<Item = (u32, u32)> + use<> {
         let left_from_root = self.root_from_left.inverse();
-        let middle = |finger: &OwnFinger| left_from_root * finger.part.middle();
-        let middles: Vec<Point3<f64>> = self.hand.fingers.iter().map(middle).collect();
+        let middles: Vec<Point3<f64>> = points.iter().map(|at| left_from_root * at).collect();
         let nearest = middles.iter().map(|at| at.z).fold(f64::INFINITY, f64::min).max(0.2);
         let PinholeCamera { focal, width, height, .. } = self.camera;
         let px = middles.iter().filter_map(|at| self.camera.project(at));
@@ -88,13 +145,33 @@ impl Picture {
         within: u32,
         table: &TouchedTable,
     ) -> Option<Point3<f64>> {
+        let at = self.shown((x, y), within)?;
+        let rises = table.normal.dot(&(at - table.at)) >= RAISED;
+        self.hand.nearest_finger(&at).filter(|(_, distance)| rises && *distance < NEAR).map(|_| at)
+    }
+
+    /// The same of what is in the hand, which holds at a point of its frame.
+    pub(super) fn in_hand(
+        &self,
+        (x, y): (u32, u32),
+        within: u32,
+        held_in_hand: &Point3<f64>,
+    ) -> Option<Point3<f64>> {
+        let at = self.shown((x, y), within)?;
+        let off = at - self.hand.root_from_hand * held_in_hand;
+        let [first, second] =
+            [self.hand.fingers.first()?, self.hand.fingers.last()?].map(|f| f.part.middle());
+        let across = second - first;
+        let aside = off.dot(&across.try_normalize(1e-6).unwrap_or_default()).abs();
+        (off.norm() < IN_HAND && aside < across.norm() / 2.0 + ASIDE).then_some(at)
+    }
+
+    /// The point (root frame) that a pixel shows, or what is in front within so many pixels of it, if the own body does not hide it.
+    fn shown(&self, (x, y): (u32, u32), within: u32) -> Option<Point3<f64>> {
         let px = Point2::new(f64::from(x), f64::from(y));
         let depth = nearest_depth(&self.depth, (x, y), within)?;
         let at = self.root_from_left * Point3::from(self.camera.ray(&px) * depth);
-        if self.hides(&px, within) || table.normal.dot(&(at - table.at)) < RAISED {
-            return None;
-        }
-        self.hand.nearest_finger(&at).filter(|(_, distance)| *distance < NEAR).map(|_| at)
+        (!self.hides(&px, within)).then_some(at)
     }
 
     /// Where in another picture a point of this one (root frame) is that is still, and how the hand's motion would move it there, px.
@@ -111,12 +188,22 @@ impl Picture {
     /// Whether nothing but a point (root frame) is seen within so many pixels of where it would be: what is in front of it, as somebody
     /// else's hand, says nothing of it.
     pub(super) fn shows(&self, at: &Point3<f64>, px: &Point2<f64>, within: u32) -> bool {
+        self.depth_beyond(at, px, within).is_some_and(|beyond| beyond.abs() < BEFORE)
+    }
+
+    /// Whether all that is seen within so many pixels of where a point (root frame) would be is behind it, so that nothing is there.
+    pub(super) fn is_beyond(&self, at: &Point3<f64>, px: &Point2<f64>, within: u32) -> bool {
+        self.depth_beyond(at, px, within).is_some_and(|beyond| beyond > BEFORE)
+    }
+
+    /// By how much what is in front within so many pixels of a place is farther away than a point (root frame), m.
+    fn depth_beyond(&self, at: &Point3<f64>, px: &Point2<f64>, within: u32) -> Option<f64> {
         let expected = (self.root_from_left.inverse() * at).z;
         let [x, y] = [px.x.round(), px.y.round()];
         let inside =
             x >= 0.0 && y >= 0.0 && x < f64::from(self.camera.width) && y < f64::from(self.camera.height);
         let seen = inside.then(|| nearest_depth(&self.depth, (x as u32, y as u32), within)).flatten();
-        seen.is_some_and(|seen| (seen - expected).abs() < BEFORE)
+        seen.map(|seen| seen - expected)
     }
 
     /// By how much the table in another picture is shifted against where the camera's known motion would bring it, px. What rises from the
@@ -139,6 +226,23 @@ impl Picture {
         };
         let grid = Region::whole(self.camera.width / GRID, self.camera.height / GRID);
         align(&self.left, &other.left, &grid.pixels().filter_map(pair).collect::<Vec<_>>())
+    }
+
+    /// By how much the own hand in another picture is shifted against where its known motion would bring it, px: joints have play, and stamps
+    /// are not exact. `held_in_hand` is about its middle, in its frame.
+    pub(super) fn hand_shift_of(&self, other: &Self, held_in_hand: &Point3<f64>) -> Vector2<f64> {
+        let middle = self.hand.root_from_hand * held_in_hand;
+        let pair = |(x, y): (u32, u32)| {
+            let depth = f64::from(self.depth.at(x, y));
+            let px = Point2::new(f64::from(x), f64::from(y));
+            let at = self.root_from_left * Point3::from(self.camera.ray(&px) * depth);
+            if depth == 0.0 || (at - middle).norm() > IN_HAND || !self.hides(&px, 0) {
+                return None;
+            }
+            let (still, motion) = self.still_and_motion(&at, other)?;
+            Some((Point2::new(x as i32, y as i32), still + motion))
+        };
+        align(&self.left, &other.left, &self.around(&[middle]).filter_map(pair).collect::<Vec<_>>())
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::picture::Picture;
-use super::{OwnFinger, OwnHand, OwnPart, TouchStep, TouchedTable};
+use super::{OwnFinger, OwnHand, OwnPart, SlipStep, TouchStep, TouchedTable};
 use crate::scenes::{CALIBRATION, SKIN, TABLE, Thing, frame, frame_with_depth, table};
 use crate::steps::StereoStep;
 
@@ -52,6 +52,34 @@ fn way(picture: u64) -> f64 {
 fn pushed_box(x: f64, by: f64) -> Thing {
     let root_from_block = Isometry3::translation(0.25 + x, 0.56 + by, SURFACE + 0.025);
     Thing::Block { root_from_block, size: Vector3::new(0.08, 0.08, 0.05), color: [190, 50, 45] }
+}
+
+/// Where the hand holds something, in its frame: between the fingers.
+fn held() -> Point3<f64> {
+    Point3::new(0.06, 0.0, 0.045)
+}
+
+/// Whether a slip is told in each picture: of a hand with a box in it, which is `off` its place there, m, root frame.
+fn slips(off: impl Fn(u64) -> Vector3<f64>) -> Vec<bool> {
+    let mut step =
+        SlipStep::new(CALIBRATION.camera, "hand", held(), Some(under()), |stamp| Some(hand(way(stamp))));
+    let told = (0..PICTURES).map(|picture| {
+        let own = hand(way(picture));
+        let at = own.root_from_hand * held() + off(picture);
+        let carried = Thing::Block {
+            root_from_block: Isometry3::translation(at.x, at.y, at.z),
+            size: Vector3::new(0.08, 0.08, 0.05),
+            color: [190, 50, 45],
+        };
+        let parts = own.parts.into_iter().map(|part| Thing::Block {
+            root_from_block: part.root_from_box,
+            size: part.size,
+            color: BLACK,
+        });
+        let all: Vec<Thing> = [table(TABLE), carried].into_iter().chain(parts).collect();
+        !step.step(&frame_with_depth(&all, picture, picture)).is_empty()
+    });
+    told.collect()
 }
 
 /// What the step tells of each picture of a table with the hand and these things.
@@ -140,6 +168,19 @@ fn pictures_are_aligned_by_the_table_whatever_moves_above_it() {
     };
     let shift = picture(0, 0.0).shift_of(&picture(1, 0.003), &under());
     assert!(shift.norm() < 0.1, "{shift}");
+}
+
+#[test]
+fn what_stays_behind_the_hand_or_falls_out_of_it_slips() {
+    assert!(slips(|_| Vector3::zeros()).iter().all(|told| !told), "it is held");
+    let since = |picture: u64| picture.saturating_sub(TOUCHED) as f64;
+    for (name, per_picture) in
+        [("stays", Vector3::new(0.0, -STEP, 0.0)), ("falls", Vector3::new(0.0, 0.0, -0.04))]
+    {
+        let told = slips(|picture| per_picture * since(picture));
+        let first = told.iter().position(|told| *told).unwrap() as u64;
+        assert!((TOUCHED + 1..=TOUCHED + 3).contains(&first), "{name}: {first}");
+    }
 }
 
 #[test]
