@@ -23,8 +23,8 @@ pub(super) const PROBE: Probe = Probe {
     },
 };
 
-/// Contact counts as lost below this normal force, N.
-const LOST_N: f64 = 0.2;
+/// Contact counts as lost below this normal force, mN: compared as a recording keeps it, so that the figures computed from one are the same.
+const LOST_MN: f64 = 200.0;
 /// Window after the first touch in which its peak is searched, s.
 const TOUCHDOWN_S: f64 = 0.5;
 /// Number of cycles over which the force is judged.
@@ -79,16 +79,20 @@ fn force(run: &JudgedRun<'_>) -> Option<ForceFigures> {
         mean_n: forces.iter().sum::<f64>() / n,
         rms_error_n: (squares / n).sqrt(),
         max_n: forces.iter().copied().fold(0.0, f64::max),
-        contact_lost_s: forces.iter().filter(|f| **f < LOST_N).count() as f64 * 1e-3,
+        contact_lost_s: forces.iter().filter(|f| millinewtons(**f) < LOST_MN).count() as f64 * 1e-3,
         touchdown_max_n: touchdown(run, ended),
         cycles,
     })
 }
 
+fn millinewtons(force: f64) -> f64 {
+    (force * 1e3).round()
+}
+
 fn touchdown(run: &JudgedRun<'_>, ended: u64) -> f64 {
     let started = run.time_of(|m| *m == Milestone::AdaptationStarted).unwrap_or(0);
     let adapting = run.log.between(started.min(ended), ended);
-    let touched = adapting.iter().position(|r| r.normal > LOST_N).unwrap_or(adapting.len());
+    let touched = adapting.iter().position(|r| millinewtons(r.normal) > LOST_MN).unwrap_or(adapting.len());
     adapting[touched..].iter().take((TOUCHDOWN_S * 1e3) as usize).map(|r| r.normal).fold(0.0, f64::max)
 }
 

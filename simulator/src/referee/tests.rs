@@ -75,6 +75,17 @@ fn a_perfect_run_has_perfect_figures() {
 }
 
 #[test]
+fn the_window_of_the_touchdown_begins_at_the_same_step_with_forces_of_a_recording() {
+    let force = |t: f64| if t < 10.4 { 0.0 } else { 0.2003 + 16.5 * (t - 10.5) };
+    let recorded = |t: f64| (force(t) * 1e3).round() / 1e3;
+    let [exact, again] = [&force as &dyn Fn(f64) -> f64, &recorded].map(|force| {
+        let (world, log) = run(30.0, force, |_, _| 0.0);
+        number(&compute(&world, &log, &marks(10, 12)), "/force/touchdown_max_n")
+    });
+    assert!((exact - again).abs() < 1e-3, "{exact} N, and {again} N from the recording");
+}
+
+#[test]
 fn a_weak_force_wipes_nothing_and_errors_are_counted() {
     let (world, log) = run(30.0, |_| 2.0, |_, _| 0.0);
     assert_eq!(compute(&world, &log, &marks(10, 12))["wiped_fraction"], 0.0);
