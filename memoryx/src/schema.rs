@@ -235,7 +235,7 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
             .optional("position", Type::Vector, "middle of what was seen to move, m, in its frame"),
         SegmentSchema::new("Slips", "That what a hand of the robot held slipped; the entity is the hand.")
             .required("by", Type::one_of(["seen", "felt"]), "how that was noticed")
-            .optional("position", Type::Vector, "middle of what was seen to stay behind, m, in its frame"),
+            .optional("position", Type::Vector, "where it slipped, m, in its frame"),
         SegmentSchema::new("ObjectClasses", "What is known of a kind of thing before it is seen.")
             .required("color", numbers(), "red, green and blue, 0 to 255")
             .required("size", Type::list(metres()), "extent along the object's x, y and z, m")

@@ -9,8 +9,8 @@
 //!   colour and size. [`TabletopSegmentation`]: a table and the objects on it.
 //!   [`EnvironmentModel`]: tables, shelves, walls and the floor, fused over time. [`HandObserver`]: a person's hand, its
 //!   gesture and where it points.
-//! - [`segmentation`]: unknown things on a table, told apart by what moves together. [`TouchStep`]: that the own hand touches
-//!   something.
+//! - [`segmentation`]: unknown things on a table, told apart by what moves together. [`TouchStep`], [`SlipStep`]: that the own hand touches
+//!   something, and that what it holds slips.
 //! - [`BodyObserver`]: a person's head, shoulders, elbows and wrists.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.

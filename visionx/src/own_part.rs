@@ -17,6 +17,13 @@ impl OwnPart {
         self.root_from_box.translation.vector.into()
     }
 
+    /// The point of it that is nearest to another one; root frame.
+    pub(crate) fn nearest(&self, point: &Point3<f64>) -> Point3<f64> {
+        let half = self.size / 2.0;
+        let inside = self.root_from_box.inverse_transform_point(point).coords;
+        self.root_from_box * Point3::from(inside.zip_map(&half, |at, half| at.clamp(-half, half)))
+    }
+
     /// The distance of a point (root frame) from it, m; 0 inside.
     pub(crate) fn distance(&self, point: &Point3<f64>) -> f64 {
         distance_from_box(point, &self.root_from_box, &self.size)

@@ -88,7 +88,6 @@ fn add_soft_box(
     physics.insert_collider(core, Some(handle));
     let reaction = FoundationReaction::default();
     let (colliders, foundation) = (vec![collider], Some(foundation));
-    let (slippery, rough) = (None, Vec::new());
     Object {
         handle,
         colliders,
@@ -96,8 +95,7 @@ fn add_soft_box(
         reaction,
         loose: true,
         has_handles: false,
-        slippery,
-        rough,
+        slippery: None,
         cuboid: None,
     }
 }
@@ -137,8 +135,7 @@ fn add_rigid(physics: &mut rapier::PhysicsWorld, pose: &Isometry3<f64>, spec: &B
     let reaction = FoundationReaction::default();
     let cuboid = (spec.shape == BodyShape::Box).then(|| spec.half());
     let (loose, has_handles) = (!fixed && !guided, handles > 0);
-    let (slippery, rough) = (None, Vec::new());
-    Object { handle, colliders, foundation: None, reaction, loose, has_handles, slippery, rough, cuboid }
+    Object { handle, colliders, foundation: None, reaction, loose, has_handles, slippery: None, cuboid }
 }
 
 /// Adds a part of a person: one with a mass moves by forces, without gravity; the others are moved.

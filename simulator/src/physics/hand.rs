@@ -151,8 +151,8 @@ impl SimulatedHand {
             let (held, outside) = self.joined().zip(outside)?;
             Some(self.wrench.load(held, &momenta[held], &outside.force, &outside.torque))
         });
-        let slippery = self.grip.held().and_then(|held| objects[held].slippery);
-        let friction = slippery.map_or(PAD_FRICTION, |friction| friction.min(PAD_FRICTION));
+        let slippery = self.grip.held().and_then(|held| objects[held].slippery.as_ref());
+        let friction = slippery.map_or(PAD_FRICTION, |slippery| slippery.friction.min(PAD_FRICTION));
         self.grip.step(&presses, load, friction, DT);
     }
 

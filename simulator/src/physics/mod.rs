@@ -17,6 +17,7 @@ mod plant;
 mod robot;
 #[cfg(test)]
 mod scene_tests;
+mod slippery;
 mod soft_grip;
 #[cfg(test)]
 mod tests;

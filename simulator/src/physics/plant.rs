@@ -28,6 +28,7 @@ use super::convert;
 use super::pad::{Moving, PadReaction};
 use super::people::{LedHand, PersonBodies};
 use super::robot::{ArmWithHand, PaddedHand, PlantRobot};
+use super::slippery::Slippery;
 use super::soft_grip::SoftGrip;
 use super::wrench::Momentum;
 use crate::error::PlantError;
@@ -71,10 +72,8 @@ pub(super) struct Object {
     pub(super) loose: bool,
     /// Whether it has handles, so that hands grip it softly.
     pub(super) has_handles: bool,
-    /// Its friction while it is slippery.
-    pub(super) slippery: Option<f64>,
-    /// The friction of its colliders before.
-    pub(super) rough: Vec<(f64, rapier::CoefficientCombineRule)>,
+    /// While it is slippery.
+    pub(super) slippery: Option<Slippery>,
     /// Half the edges of a rigid box, m.
     pub(super) cuboid: Option<Vector3<f64>>,
 }
@@ -259,30 +258,6 @@ impl Plant {
         let momenta = self.momenta();
         self.update_grips(external, &momenta);
         self.feel(external, &momenta);
-    }
-
-    /// Gives bodies that are slippery their friction, wherever they touch something rougher, and takes it from those that are no more.
-    fn make_slippery(&mut self, external: &External) {
-        for (body, object) in self.objects.iter_mut().enumerate() {
-            let friction = external.slippery.iter().find(|(slippery, _)| *slippery == body).map(|(_, f)| *f);
-            if friction == object.slippery {
-                continue;
-            }
-            let colliders = &mut self.physics.colliders;
-            if object.slippery.is_none() {
-                let own = |handle: ColliderHandle| {
-                    (colliders[handle].friction(), colliders[handle].friction_combine_rule())
-                };
-                object.rough = object.colliders.iter().copied().map(own).collect();
-            }
-            object.slippery = friction;
-            for (handle, rough) in object.colliders.iter().zip(&object.rough) {
-                let slips = |friction: f64| (friction.min(rough.0), rapier::CoefficientCombineRule::Min);
-                let (friction, rule) = friction.map_or(*rough, slips);
-                colliders[*handle].set_friction(friction);
-                colliders[*handle].set_friction_combine_rule(rule);
-            }
-        }
     }
 
     /// Wakes arms that are commanded or touched, and lets those sleep that have rested for long enough.

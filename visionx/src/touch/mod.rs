@@ -6,7 +6,7 @@
 //!
 //! - [`OwnHand`]: where the hand is at a time, and the boxes that the own body fills, whose pixels say nothing.
 //! - `picture`: a picture with what is known of its time. `patches`: compares small parts of two pictures.
-//! - `witnesses`: what patches tell together.
+//! - `witnesses`: what patches tell together. `watch`: a hand with its newest pictures.
 //! - [`TouchStep`], [`SlipStep`]: the processing steps.
 //!
 //! It needs depth: only by that is a shadow on the table told from a thing.
@@ -22,6 +22,7 @@ mod slip;
 mod step;
 #[cfg(test)]
 mod tests;
+mod watch;
 mod witnesses;
 
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
@@ -29,9 +30,6 @@ use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use crate::own_part::OwnPart;
 pub use slip::SlipStep;
 pub use step::TouchStep;
-
-/// Where the own hand was at a time (ns); `None` where that is not known.
-type HandAt = Box<dyn Fn(u64) -> Option<OwnHand> + Send>;
 
 /// A finger with which a hand may touch something.
 #[derive(Clone, Debug, PartialEq)]

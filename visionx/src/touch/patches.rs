@@ -124,8 +124,10 @@ pub(super) fn align(
 pub(super) enum PatchMotion {
     /// Where it would be without the motion that is looked for.
     Still,
-    /// Where that motion, or a part of it, would have brought it.
+    /// Where that motion, or most of it, would have brought it.
     Moved,
+    /// Where a small part of that motion would have brought it.
+    MovedLittle,
     /// Nowhere on that way: something else hides it, or it has changed.
     Otherwise,
 }
@@ -144,31 +146,14 @@ const BETTER: f64 = 0.65;
 const CHANGED: f64 = 14.0;
 /// A still patch may be beside its place by this along both axes, px: pictures have pixels, and the camera's motion is not known exactly.
 const BESIDE: f64 = 0.5;
-/// The shares of the motion along which, and across which, a patch is looked for.
-const ALONG: [f64; 6] = [0.25, 0.4, 0.6, 0.8, 1.0, 1.2];
-/// The index of those from which on they are most of the motion.
-const MOST_OF_IT: usize = 2;
+/// The shares of the motion along which a patch is looked for that may have made a part of it, or that has made most of it, and across which.
+pub(super) const ANY_PART: [f64; 6] = [0.25, 0.4, 0.6, 0.8, 1.0, 1.2];
+pub(super) const MOST: [f64; 4] = [0.6, 0.8, 1.0, 1.2];
 const ACROSS: [f64; 5] = [-0.4, -0.2, 0.0, 0.2, 0.4];
 
-/// Where a patch has gone that would be at `still` in the other picture, or at `still + motion` if it made that motion, or a part of it.
+/// Where a patch has gone that would be at `still` in the other picture, or at `still + motion` if it made that motion. The shares of it count
+/// `along`: [`ANY_PART`] or [`MOST`].
 pub(super) fn find(
-    patch: (&RgbImage, Point2<i32>),
-    other: &RgbImage,
-    places: (&Point2<f64>, &Vector2<f64>),
-) -> Option<PatchMotion> {
-    find_along(patch, other, places, &ALONG)
-}
-
-/// The same where only most of the motion counts.
-pub(super) fn find_far(
-    patch: (&RgbImage, Point2<i32>),
-    other: &RgbImage,
-    places: (&Point2<f64>, &Vector2<f64>),
-) -> Option<PatchMotion> {
-    find_along(patch, other, places, &ALONG[MOST_OF_IT..])
-}
-
-fn find_along(
     patch: (&RgbImage, Point2<i32>),
     other: &RgbImage,
     (still, motion): (&Point2<f64>, &Vector2<f64>),
@@ -177,15 +162,17 @@ fn find_along(
     let beside = [-BESIDE, 0.0, BESIDE];
     let around = beside.iter().flat_map(|x| beside.iter().map(move |y| Vector2::new(*x, *y)));
     let across = Vector2::new(-motion.y, motion.x);
-    let carried = along.iter().flat_map(|s| ACROSS.iter().map(move |t| motion * *s + across * *t));
-    let least = |shifts: &mut dyn Iterator<Item = Vector2<f64>>| {
-        shifts.filter_map(|shift| difference(patch, (other, &(still + shift)))).min_by(f64::total_cmp)
+    let at = |shift: Vector2<f64>| difference(patch, (other, &(still + shift)));
+    let unmoved = around.filter_map(at).min_by(f64::total_cmp)?;
+    let best_of = |share: &f64| {
+        let carried = ACROSS.iter().map(|aside| motion * *share + across * *aside);
+        Some((carried.filter_map(at).min_by(f64::total_cmp)?, *share))
     };
-    let (unmoved, moved) = (least(&mut around.into_iter())?, least(&mut carried.into_iter())?);
+    let (moved, share) = along.iter().filter_map(best_of).min_by(|a, b| a.0.total_cmp(&b.0))?;
     Some(if unmoved < CHANGED && unmoved < BETTER * moved {
         PatchMotion::Still
     } else if moved < CHANGED && moved < BETTER * unmoved {
-        PatchMotion::Moved
+        if share < MOST[0] { PatchMotion::MovedLittle } else { PatchMotion::Moved }
     } else {
         PatchMotion::Otherwise
     })
@@ -231,12 +218,12 @@ mod tests {
             (Vector2::new(-3.0, 4.0), PatchMotion::Otherwise),
         ] {
             let second = smooth(&pattern(shift));
-            assert_eq!(find(patch, &second, (&still, &motion)), Some(found), "{shift}");
-            assert_eq!(find_far(patch, &second, (&still, &motion)), Some(found), "{shift}");
+            assert_eq!(find(patch, &second, (&still, &motion), &ANY_PART), Some(found), "{shift}");
+            assert_eq!(find(patch, &second, (&still, &motion), &MOST), Some(found), "{shift}");
         }
-        assert_eq!(find(patch, &first, (&Point2::new(2.0, 30.0), &motion)), None);
+        assert_eq!(find(patch, &first, (&Point2::new(2.0, 30.0), &motion), &ANY_PART), None);
         let little = smooth(&pattern(0.25 * motion));
-        assert_eq!(find(patch, &little, (&still, &motion)), Some(PatchMotion::Moved));
-        assert_ne!(find_far(patch, &little, (&still, &motion)), Some(PatchMotion::Moved));
+        assert_eq!(find(patch, &little, (&still, &motion), &ANY_PART), Some(PatchMotion::MovedLittle));
+        assert_ne!(find(patch, &little, (&still, &motion), &MOST), Some(PatchMotion::Moved));
     }
 }

@@ -1,23 +1,17 @@
 //! A picture of the hand on its way, with what is known of its time: where camera and hand were, and what rises from the table near the
 //! fingers.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point2, Point3, Vector2, Vector3};
 
 use super::patches::{HALF, align, smooth};
 use super::{OwnHand, OwnPart, TouchedTable};
-use crate::annotate;
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, RgbImage, StereoFrame};
 use crate::mask::Region;
 use crate::outline::{ConvexOutline, box_outline};
 
-/// How many pictures are kept.
-const KEPT: usize = 12;
-/// How far the fingers must have moved in the picture between two pictures that are compared, px.
-const APART: f64 = 3.0;
 /// Distance of patches, px, and of the pixels by which pictures are aligned.
 const GRID: u32 = 4;
 /// What rises less from the table, m, may be a shadow on it.
@@ -31,51 +25,10 @@ const IN_HAND: f64 = 0.12;
 const ASIDE: f64 = 0.015;
 /// What is so much nearer than a point, or farther, is something else, m.
 const BEFORE: f64 = 0.02;
+/// How far apart the points are of a way of which it is asked whether something is seen behind it, m.
+const FREE_STEP: f64 = 0.005;
 /// Own parts may be beside where they are known to be by this, px.
 const MARGIN: f64 = 3.0;
-
-/// The newest pictures.
-#[derive(Default)]
-pub(super) struct Pictures(VecDeque<Picture>);
-
-impl Pictures {
-    pub(super) fn push(&mut self, picture: Picture) {
-        self.0.push_back(picture);
-        if self.0.len() > KEPT {
-            self.0.pop_front();
-        }
-    }
-
-    pub(super) fn oldest(&self) -> Option<&Picture> {
-        self.0.front()
-    }
-
-    pub(super) fn newest(&self) -> Option<&Picture> {
-        self.0.back()
-    }
-
-    /// Three pictures, the newest last, between which the hand has moved enough.
-    pub(super) fn compared(&self) -> Option<[&Picture; 3]> {
-        let (before, then, now) = self.moved()?;
-        Some([before?, then, now])
-    }
-
-    /// The same; where the hand has moved enough only once, without the first.
-    pub(super) fn moved(&self) -> Option<(Option<&Picture>, &Picture, &Picture)> {
-        let apart = |later: &Picture, earlier: &&Picture| later.fingers_moved_since(earlier) >= APART;
-        let mut pictures = self.0.iter().rev();
-        let now = pictures.next()?;
-        let then = pictures.find(|earlier| apart(now, earlier))?;
-        Some((pictures.find(|earlier| apart(then, earlier)), then, now))
-    }
-
-    /// Draws where the own body is.
-    pub(super) fn draw(&self, image: &mut RgbImage) {
-        for outline in self.newest().iter().flat_map(|picture| &picture.own) {
-            annotate::polygon(image, outline.corners(), [255, 255, 0]);
-        }
-    }
-}
 
 /// The left picture, smoothed.
 pub(super) struct Picture {
@@ -194,6 +147,16 @@ impl Picture {
     /// Whether all that is seen within so many pixels of where a point (root frame) would be is behind it, so that nothing is there.
     pub(super) fn is_beyond(&self, at: &Point3<f64>, px: &Point2<f64>, within: u32) -> bool {
         self.depth_beyond(at, px, within).is_some_and(|beyond| beyond > BEFORE)
+    }
+
+    /// How much of the straight way between two points (root frame) is seen to be free, m: what is behind it is seen.
+    pub(super) fn free_way(&self, from: &Point3<f64>, to: &Point3<f64>) -> f64 {
+        let steps = ((to - from).norm() / FREE_STEP).floor().min(1e3) as u32;
+        let is_free = |step: &u32| {
+            let at = from + (to - from) * (f64::from(*step) / f64::from(steps));
+            self.px(&at).is_some_and(|px| !self.hides(&px, 0) && self.is_beyond(&at, &px, 0))
+        };
+        (1..=steps).filter(is_free).count() as f64 * FREE_STEP
     }
 
     /// By how much what is in front within so many pixels of a place is farther away than a point (root frame), m.

@@ -4,10 +4,11 @@
 use armarium_values::{Frame, Observation, ObservedPlace};
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
-use super::patches::{HALF, PatchMotion, find_far, is_plain};
-use super::picture::{Picture, Pictures};
-use super::witnesses::{Patch, Witnesses};
-use super::{HandAt, OwnHand, TouchedTable};
+use super::patches::{HALF, MOST, PatchMotion, find, is_plain};
+use super::picture::Picture;
+use super::watch::HandWatch;
+use super::witnesses::Patch;
+use super::{OwnHand, TouchedTable};
 use crate::camera::PinholeCamera;
 use crate::frame::{RgbImage, StereoFrame};
 use crate::steps::StereoStep;
@@ -20,14 +21,10 @@ const PLACE: f64 = 0.02;
 /// Sees that what a hand holds slips while the hand moves, as `Slips` named after the hand, with its `position`, and `by: seen`. Where nothing
 /// slips it observes nothing. It looks at frames with depth only.
 pub struct SlipStep {
-    camera: PinholeCamera,
-    name: String,
-    hand_at: HandAt,
+    watch: HandWatch,
     /// Where the hand holds, in the hand's frame, m.
     held_in_hand: Point3<f64>,
     table: Option<TouchedTable>,
-    kept: Pictures,
-    witnesses: Witnesses,
 }
 
 impl SlipStep {
@@ -41,15 +38,13 @@ impl SlipStep {
         table: Option<TouchedTable>,
         hand_at: impl Fn(u64) -> Option<OwnHand> + Send + 'static,
     ) -> Self {
-        let (name, hand_at) = (name.to_owned(), Box::new(hand_at));
-        let (kept, witnesses) = (Pictures::default(), Witnesses::default());
-        Self { camera, name, hand_at, held_in_hand, table, kept, witnesses }
+        Self { watch: HandWatch::new(camera, name, hand_at), held_in_hand, table }
     }
 
     /// The patches in the hand that went with it before, and where they are now; empty while the hand has not moved enough. When it sets out,
-    /// what rises from the table between its fingers is taken to be held.
-    fn patches(&self) -> Vec<Patch> {
-        let Some((before, then, now)) = self.kept.moved() else { return Vec::new() };
+    /// what rises from the table between its fingers is taken to be held; whether that is so comes with them.
+    fn patches(&self) -> (Vec<Patch>, bool) {
+        let Some((before, then, now)) = self.watch.moved() else { return (Vec::new(), true) };
         let around = then.around(&[then.hand.root_from_hand * self.held_in_hand]);
         let shift = |other| self.table.map_or_else(Vector2::zeros, |table| then.shift_of(other, &table));
         let with_shifts = |other| {
@@ -57,7 +52,8 @@ impl SlipStep {
             Compared { picture: other, world: shift(other), hand }
         };
         let (before, now) = (before.map(with_shifts), with_shifts(now));
-        around.filter_map(|px| self.patch(before.as_ref(), then, &now, px)).collect()
+        let patches = around.filter_map(|px| self.patch(before.as_ref(), then, &now, px)).collect();
+        (patches, before.is_none())
     }
 
     /// The patch about a pixel of the second picture; `None` where it says nothing, or did not go with the hand before.
@@ -80,7 +76,7 @@ impl SlipStep {
         match before {
             Some(before) => {
                 let (was, back) = before.held_and_behind(then, &at)?;
-                let found = find_far(patch, &before.picture.left, (&was, &back))?;
+                let found = find(patch, &before.picture.left, (&was, &back), &MOST)?;
                 if before.picture.hides(&was, HALF) || found != PatchMotion::Still {
                     return None;
                 }
@@ -90,7 +86,7 @@ impl SlipStep {
             }
         }
         let held = now.picture.hand.root_from_hand * (then.hand.root_from_hand.inverse() * at);
-        let found = match find_far(patch, &now.picture.left, (&px, &behind))? {
+        let found = match find(patch, &now.picture.left, (&px, &behind), &MOST)? {
             PatchMotion::Moved if !now.picture.shows(&at, &(px + behind), HALF) => PatchMotion::Otherwise,
             PatchMotion::Otherwise if now.picture.is_beyond(&held, &px, HALF) => PatchMotion::Moved,
             found => found,
@@ -99,10 +95,10 @@ impl SlipStep {
     }
 
     fn slip(&mut self, stamp_ns: u64) -> Option<Observation> {
-        let moved = self.witnesses.agree()?;
+        let moved = self.watch.witnesses.agree()?;
         let middle = moved.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / moved.len() as f64;
         let place = ObservedPlace::new(&Frame::root(), &middle, &(Matrix3::identity() * PLACE * PLACE));
-        let slip = Observation::new(SLIPS, "slip", stamp_ns).named(&self.name).at(place);
+        let slip = Observation::new(SLIPS, "slip", stamp_ns).named(&self.watch.name).at(place);
         Some(slip.with("by", "seen"))
     }
 }
@@ -130,22 +126,15 @@ impl StereoStep for SlipStep {
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
-        let hand = (self.hand_at)(frame.stamp_ns);
-        let Some(picture) = hand.and_then(|hand| Picture::new(frame, &self.camera, hand)) else {
-            self.witnesses.see_nothing();
+        if !self.watch.take(frame) {
             return Vec::new();
-        };
-        self.kept.push(picture);
-        let patches = self.patches();
-        match self.kept.compared() {
-            Some(_) => self.witnesses.see(patches),
-            None => self.witnesses.see_at_first(patches),
         }
+        let (patches, sets_out) = self.patches();
+        self.watch.witnesses.see(patches, sets_out);
         self.slip(frame.stamp_ns).into_iter().collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {
-        self.kept.draw(image);
-        self.witnesses.draw(image);
+        self.watch.draw(image);
     }
 }

@@ -3,10 +3,11 @@
 use armarium_values::{Frame, Observation, ObservedPlace};
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
-use super::patches::{HALF, PatchMotion, find, is_plain};
-use super::picture::{Picture, Pictures};
-use super::witnesses::{Patch, Witnesses};
-use super::{HandAt, OwnHand, TouchedTable};
+use super::patches::{ANY_PART, HALF, PatchMotion, find, is_plain};
+use super::picture::Picture;
+use super::watch::HandWatch;
+use super::witnesses::Patch;
+use super::{OwnHand, TouchedTable};
 use crate::camera::PinholeCamera;
 use crate::frame::{RgbImage, StereoFrame};
 use crate::steps::StereoStep;
@@ -15,18 +16,16 @@ use crate::steps::StereoStep;
 const TOUCHES: &str = "Touches";
 /// How far apart neighbouring points of a thing's surface may be, m.
 const CONNECTED: f64 = 0.012;
+/// Nothing is touched where so much of the way to it is seen to be free, m.
+const FREE: f64 = 0.02;
 /// Standard deviation of the place of a touch, m.
 const PLACE: f64 = 0.01;
 
 /// Sees that a hand touches something, as `Touches` named after the hand, with its `position`, the name of the `finger` that is nearest,
 /// and `by: seen`. Without a touch it observes nothing. It looks at frames with depth only.
 pub struct TouchStep {
-    camera: PinholeCamera,
-    name: String,
-    hand_at: HandAt,
+    watch: HandWatch,
     table: TouchedTable,
-    kept: Pictures,
-    witnesses: Witnesses,
 }
 
 impl TouchStep {
@@ -37,13 +36,12 @@ impl TouchStep {
         table: TouchedTable,
         hand_at: impl Fn(u64) -> Option<OwnHand> + Send + 'static,
     ) -> Self {
-        let (name, hand_at) = (name.to_owned(), Box::new(hand_at));
-        Self { camera, name, hand_at, table, kept: Pictures::default(), witnesses: Witnesses::default() }
+        Self { watch: HandWatch::new(camera, name, hand_at), table }
     }
 
     /// The patches near the fingers that were still before, and where they are now; empty while the hand has not moved enough.
     fn patches(&self) -> Vec<Patch> {
-        let Some([before, then, now]) = self.kept.compared() else { return Vec::new() };
+        let Some((Some(before), then, now)) = self.watch.moved() else { return Vec::new() };
         let shifts = [before, now].map(|other| then.shift_of(other, &self.table));
         then.around_fingers().filter_map(|px| self.patch([before, then, now], &shifts, px)).collect()
     }
@@ -64,11 +62,15 @@ impl TouchStep {
         }
         let (was, moved) = then.still_and_motion(&at, before)?;
         let was = was + shift_before;
-        if before.hides(&was, HALF) || find(patch, &before.left, (&was, &moved))? != PatchMotion::Still {
+        if before.hides(&was, HALF)
+            || find(patch, &before.left, (&was, &moved), &ANY_PART)? != PatchMotion::Still
+        {
             return None;
         }
-        let found = match find(patch, &now.left, (&px, &motion))? {
-            PatchMotion::Moved if !now.shows(&at, &(px + motion), HALF) => PatchMotion::Otherwise,
+        let found = match find(patch, &now.left, (&px, &motion), &ANY_PART)? {
+            PatchMotion::Moved | PatchMotion::MovedLittle if !now.shows(&at, &(px + motion), HALF) => {
+                PatchMotion::Otherwise
+            }
             found => found,
         };
         Some(Patch { px, at, found })
@@ -76,21 +78,22 @@ impl TouchStep {
 
     /// The touch that the patches show.
     fn touch(&mut self, stamp_ns: u64) -> Option<Observation> {
-        let moved = self.witnesses.agree()?;
-        let place = self.middle_of(moved)?;
-        let (finger, _) = self.kept.newest()?.hand.nearest_finger(&place)?;
+        let moved = self.watch.witnesses.agree()?;
+        let mean = moved.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / moved.len() as f64;
+        let thing = self.thing_of(moved)?;
+        if !self.is_at_a_finger(&thing)? {
+            return None;
+        }
+        let place = self.middle_of(&thing, mean)?;
+        let (finger, _) = self.watch.newest()?.hand.nearest_finger(&place)?;
         let place = ObservedPlace::new(&Frame::root(), &place.coords, &(Matrix3::identity() * PLACE * PLACE));
-        let seen = Observation::new(TOUCHES, "touch", stamp_ns).named(&self.name).at(place);
+        let seen = Observation::new(TOUCHES, "touch", stamp_ns).named(&self.watch.name).at(place);
         Some(seen.with("finger", finger.name.as_str()).with("by", "seen"))
     }
 
-    /// The middle of the thing of which these points (root frame) have moved: across the hand's way the middle of all that is seen of it, as
-    /// only its edges show how it moves.
-    fn middle_of(&self, moved: Vec<Point3<f64>>) -> Option<Point3<f64>> {
-        let (first, now) = (self.kept.oldest()?, self.kept.newest()?);
-        let [from, to] = [first, now].map(|kept| kept.hand.root_from_hand.translation.vector);
-        let across = self.table.normal.cross(&(to - from)).try_normalize(1e-6)?;
-        let mean = moved.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / moved.len().max(1) as f64;
+    /// All that is seen of the thing of which these points have moved; root frame.
+    fn thing_of(&self, moved: Vec<Point3<f64>>) -> Option<Vec<Point3<f64>>> {
+        let now = self.watch.newest()?;
         let mut others: Vec<_> =
             now.around_fingers().filter_map(|px| now.raised(px, 0, &self.table)).collect();
         let (mut thing, mut next) = (moved, 0);
@@ -100,9 +103,28 @@ impl TouchStep {
             thing.extend(near);
             (others, next) = (far, next + 1);
         }
+        Some(thing)
+    }
+
+    /// Whether a finger may touch a thing of which these points (root frame) are seen: not where there is seen to be nothing between them.
+    fn is_at_a_finger(&self, thing: &[Point3<f64>]) -> Option<bool> {
+        let now = self.watch.newest()?;
+        Some(now.hand.fingers.iter().any(|finger| {
+            let distances = thing.iter().map(|at| (at, finger.part.distance(at)));
+            let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
+            nearest.is_some_and(|(at, _)| now.free_way(at, &finger.part.nearest(at)) < FREE)
+        }))
+    }
+
+    /// The middle of a thing of which these points are seen, and of which those that have moved have this mean (root frame): across the hand's
+    /// way the middle of all that is seen of it, as only its edges show how it moves.
+    fn middle_of(&self, thing: &[Point3<f64>], moved: Vector3<f64>) -> Option<Point3<f64>> {
+        let (first, now) = (self.watch.oldest()?, self.watch.newest()?);
+        let [from, to] = [first, now].map(|kept| kept.hand.root_from_hand.translation.vector);
+        let across = self.table.normal.cross(&(to - from)).try_normalize(1e-6)?;
         let places = thing.iter().map(|at| across.dot(&at.coords));
         let [low, high] = [f64::min, f64::max].map(|most| places.clone().reduce(most));
-        Some(Point3::from(mean + across * ((low? + high?) / 2.0 - across.dot(&mean))))
+        Some(Point3::from(moved + across * ((low? + high?) / 2.0 - across.dot(&moved))))
     }
 }
 
@@ -112,18 +134,15 @@ impl StereoStep for TouchStep {
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Vec<Observation> {
-        let hand = (self.hand_at)(frame.stamp_ns);
-        let Some(picture) = hand.and_then(|hand| Picture::new(frame, &self.camera, hand)) else {
-            self.witnesses.see_nothing();
+        if !self.watch.take(frame) {
             return Vec::new();
-        };
-        self.kept.push(picture);
-        self.witnesses.see(self.patches());
+        }
+        let patches = self.patches();
+        self.watch.witnesses.see(patches, false);
         self.touch(frame.stamp_ns).into_iter().collect()
     }
 
     fn draw(&self, image: &mut RgbImage) {
-        self.kept.draw(image);
-        self.witnesses.draw(image);
+        self.watch.draw(image);
     }
 }

@@ -146,6 +146,17 @@ fn a_hand_that_passes_over_the_box_is_no_touch() {
 }
 
 #[test]
+fn what_begins_to_move_with_the_hand_is_no_touch_where_the_table_is_seen_between() {
+    let ball = |picture: u64| Thing::Ball {
+        center: Point3::new(0.41, 0.52 + (way(picture) - MEETS).max(0.0), SURFACE + 0.05),
+        radius: 0.035,
+        color: SKIN,
+    };
+    let told = told(true, |picture| vec![ball(picture)]);
+    assert!(told.iter().all(Option::is_none), "{told:?}");
+}
+
+#[test]
 fn pictures_are_aligned_by_the_table_whatever_moves_above_it() {
     let tiles = |count: i32, height: f64, x: f64| {
         (0..count * count).map(move |i| Thing::Block {

@@ -8,9 +8,11 @@ use crate::frame::RgbImage;
 
 /// How far apart patches of one thing may be, m.
 const TOGETHER: f64 = 0.10;
-/// So many patches of a thing, and such a share of them, must have moved in one picture, or in two that follow each other.
-const SURE: (usize, f64) = (16, 0.75);
+/// So many patches of a thing, and such a share of them, must have moved in one picture, or in two that follow each other. A little is
+/// enough, but in the second of two pictures not for all: of this share most of the hand's motion is asked.
+const SURE: (usize, f64) = (24, 0.75);
 const LIKELY: (usize, f64) = (8, 0.35);
+const MOSTLY: f64 = 0.25;
 
 /// A patch of a thing.
 #[derive(Clone, Copy, Debug)]
@@ -33,14 +35,10 @@ pub(super) struct Witnesses {
 }
 
 impl Witnesses {
-    /// Takes those of a new picture instead.
-    pub(super) fn see(&mut self, patches: Vec<Patch>) {
-        (self.patches, self.at_once) = (patches, false);
-    }
-
-    /// The same of those of which it is only taken for granted that they had not moved before: they have to be sure at once.
-    pub(super) fn see_at_first(&mut self, patches: Vec<Patch>) {
-        (self.patches, self.at_once, self.likely) = (patches, true, false);
+    /// Takes those of a new picture instead. They have to be sure `at_once` where it is only taken for granted that they had not moved before.
+    pub(super) fn see(&mut self, patches: Vec<Patch>, at_once: bool) {
+        (self.patches, self.at_once) = (patches, at_once);
+        self.likely &= !at_once;
     }
 
     /// Forgets them, and what was likely, where a picture shows nothing.
@@ -55,26 +53,28 @@ impl Witnesses {
         };
         let (moved, still): (Vec<_>, Vec<_>) =
             (of(PatchMotion::Moved).collect(), of(PatchMotion::Still).collect());
+        let any: Vec<_> = moved.iter().copied().chain(of(PatchMotion::MovedLittle)).collect();
         let around = |middle: &Point3<f64>, all: &[Point3<f64>]| {
             all.iter().filter(|at| (*at - middle).norm() < TOGETHER).count()
         };
         // The one with the most others around it.
         let before = std::mem::take(&mut self.likely);
-        let middle = *moved.iter().max_by_key(|at| around(at, &moved))?;
-        let (moving, still) = (around(&middle, &moved), around(&middle, &still));
-        let is = |(enough, share): (usize, f64)| {
-            moving >= enough && moving as f64 >= share * (moving + still) as f64
-        };
+        let middle = *any.iter().max_by_key(|at| around(at, &any))?;
+        let still = around(&middle, &still);
+        let [most, all] = [&moved, &any].map(|moving| around(&middle, moving));
+        let is = |(enough, share): (usize, f64)| all >= enough && all as f64 >= share * (all + still) as f64;
         self.likely = is(LIKELY) && !self.at_once;
-        (is(SURE) || before && self.likely).then_some(moved)
+        let again = before && self.likely && most as f64 >= MOSTLY * all as f64;
+        (is(SURE) || again).then_some(any)
     }
 
-    /// Draws a cross at each: green where it has not moved, red where it has, blue where neither is seen.
+    /// Draws a cross at each: green where it has not moved, red where it has, orange where it has a little, blue where neither is seen.
     pub(super) fn draw(&self, image: &mut RgbImage) {
         for patch in &self.patches {
             let color = match patch.found {
                 PatchMotion::Still => [0, 200, 0],
                 PatchMotion::Moved => [255, 0, 0],
+                PatchMotion::MovedLittle => [255, 140, 0],
                 PatchMotion::Otherwise => [0, 0, 255],
             };
             annotate::cross(image, &patch.px, 1.0, color);
