@@ -1,7 +1,8 @@
-//! What the arm reaches: poses, by how far its joints are from their limits there, and motions, by the speed that they need of its joints.
+//! What the arm reaches: poses, by how far its joints are from their limits there and the arm from its own body, and motions, by the speed that they need of its joints.
 
 use std::sync::Arc;
 
+use armarium_robot::planning::Planner;
 use armarium_robot::{LinkId, Model, PoseOptions, solve_pose};
 use armarium_runtime::skill::Failure;
 use nalgebra::Isometry3;
@@ -18,36 +19,48 @@ const POINTS: usize = 48;
 const MIN_MARGIN: f64 = 0.03;
 const FREE_MARGIN: f64 = 0.1;
 
+/// What each m costs by which an arm comes nearer than [`ROOM`] m to its own body, as margin in rad. Where the guard stops it that is about 1 rad.
+const NEAR_COST: f64 = 25.0;
+const ROOM: f64 = 0.06;
+
 /// The joints with which a TCP reaches.
 pub(crate) struct Reach<'a> {
-    pub(crate) model: &'a Arc<Model>,
-    pub(crate) joints: &'a [usize],
-    pub(crate) tcp: LinkId,
+    model: &'a Arc<Model>,
+    joints: &'a [usize],
+    tcp: LinkId,
     /// The positions of all joints near which they are to be, rad (m).
-    pub(crate) near: &'a [f64],
+    near: &'a [f64],
+    /// Knows how near the robot's bodies come to each other.
+    own: Planner,
 }
 
-impl Reach<'_> {
-    /// The least margin to the joints' limits, rad, at poses that the TCP takes one after the other (root frame); else how far one of them
-    /// is from what is reached, m, which is 0 if only a joint limit is too near.
-    pub(crate) fn margin(&self, poses: &[Isometry3<f64>], random: &mut ChaCha8Rng) -> Result<f64, f64> {
-        let nearest = self.margin_beyond(PoseOptions::default().margin, poses, random)?;
-        if nearest >= MIN_MARGIN {
-            return Ok(nearest);
-        }
-        // The nearest solution may stand at a limit from which another one is free.
-        self.margin_beyond(FREE_MARGIN, poses, random).map_err(|_| 0.0)
+impl<'a> Reach<'a> {
+    /// How the TCP reaches with these joints, with all joints as near as possible to positions, rad (m).
+    pub(crate) fn new(model: &'a Arc<Model>, joints: &'a [usize], tcp: LinkId, near: &'a [f64]) -> Self {
+        Self { model, joints, tcp, near, own: Planner::new(model, &[]) }
     }
 
-    /// The margin of what is found when each joint is to keep `least` rad from its limits.
+    /// The least margin to the joints' limits, rad, at poses that the TCP takes one after the other (root frame), less what it costs
+    /// that the arm comes near to its own body; else how far one of them is from what is reached, m, which is 0 if only a joint limit is too near.
+    pub(crate) fn margin(&mut self, poses: &[Isometry3<f64>], random: &mut ChaCha8Rng) -> Result<f64, f64> {
+        let (nearest, cost) = self.margin_beyond(PoseOptions::default().margin, poses, random)?;
+        if nearest >= MIN_MARGIN {
+            return Ok(nearest - cost);
+        }
+        // The nearest solution may stand at a limit from which another one is free.
+        let (free, cost) = self.margin_beyond(FREE_MARGIN, poses, random).map_err(|_| 0.0)?;
+        Ok(free - cost)
+    }
+
+    /// The margin of what is found when each joint is to keep `least` rad from its limits, and what the own body costs, rad.
     fn margin_beyond(
-        &self,
+        &mut self,
         least: f64,
         poses: &[Isometry3<f64>],
         random: &mut ChaCha8Rng,
-    ) -> Result<f64, f64> {
+    ) -> Result<(f64, f64), f64> {
         let options = PoseOptions { restarts: 3, margin: least, ..PoseOptions::default() };
-        let (mut q, mut margin) = (self.near.to_vec(), f64::INFINITY);
+        let (mut q, mut margin, mut cost) = (self.near.to_vec(), f64::INFINITY, 0.0_f64);
         for pose in poses {
             q = solve_pose(self.model, self.tcp, self.joints, pose, &q, &options, random)
                 .map_err(|e| e.position_error_m)?;
@@ -55,8 +68,14 @@ impl Reach<'_> {
             let margins =
                 self.joints.iter().map(limits).map(|(joint, q)| (q - joint.lower).min(joint.upper - q));
             margin = margins.fold(margin, f64::min);
+            cost = cost.max(self.cost_of_own_body(&q));
         }
-        Ok(margin)
+        Ok((margin, cost))
+    }
+
+    fn cost_of_own_body(&mut self, q: &[f64]) -> f64 {
+        let near = self.own.nearest_stop(self.joints, q, ROOM);
+        near.map_or(0.0, |near| NEAR_COST * (ROOM - near.distance_m))
     }
 }
 
@@ -107,4 +126,28 @@ pub(crate) fn required_speed(equipment: &Equipment, wiper: &Wiper, over: f64) ->
         )));
     }
     Ok(worst.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_arm_that_comes_near_to_its_own_body_costs() {
+        let model = Model::shipped("armar3").unwrap();
+        let arm = &model.limbs()["right_arm"];
+        let ready = model.ready(&arm.name).to_vec();
+        let mut reach = Reach::new(&model, &arm.joints, tcp_of(arm).unwrap(), &ready);
+        assert_eq!(reach.cost_of_own_body(&ready), 0.0);
+        let mut turned = |joint: usize, share: f64| {
+            let mut q = ready.clone();
+            let (lower, upper) = (model.joints()[joint].lower, model.joints()[joint].upper);
+            q[joint] = lower + share * (upper - lower);
+            reach.cost_of_own_body(&q)
+        };
+        let costs =
+            arm.joints.iter().flat_map(|&joint| (0..=20).map(move |step| (joint, f64::from(step) / 20.0)));
+        let most = costs.map(|(joint, share)| turned(joint, share)).fold(0.0, f64::max);
+        assert!(most > 0.8, "{most}");
+    }
 }

@@ -39,7 +39,7 @@ const CLEARANCE: f64 = 0.01;
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "PlanGrasp",
-        "Chooses the pose of the hand for a grasp against the surface on which the object stands, by the arm's margin.",
+        "Chooses the pose of the hand for a grasp against the surface on which the object stands, by the arm's margin, and how far it opens.",
     )
     .input("object", Type::object(), "The object in memory.")
     .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp, along the surface's normal.")
@@ -81,9 +81,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         ready[joint] = now.position[joint];
     }
     let opening = widest_opening(model, hand);
-    let reach = Reach { model, joints: &joints, tcp: tcp_of(arm)?, near: &ready };
+    let mut reach = Reach::new(model, &joints, tcp_of(arm)?, &ready);
     let down = surface.normal().scale((class.size[2] / 2.0 - FINGERS_END).max(0.0));
-    let mut best: Option<(f64, Isometry3<f64>, Isometry3<f64>, f64)> = None;
+    let mut best: Option<(f64, Grasp)> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
         let across = if quarter % 2 == 0 { length } else { width };
@@ -110,14 +110,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                     let cost = free.map_or(MEETING_COST, |free| NARROW_COST * (widest - free));
                     let score = margin - MISALIGNMENT_COST * misalignment.abs() - cost;
                     if best.is_none_or(|(most, ..)| score > most) {
-                        best = Some((score, grasp, pre, aperture));
+                        best = Some((score, Grasp { grasp, pre, aperture }));
                     }
                 }
                 Err(missing) => nearest = nearest.min(missing),
             }
         }
     }
-    let Some((_, grasp, pre, aperture)) = best else {
+    let Some((_, Grasp { grasp, pre, aperture })) = best else {
         if nearest.is_infinite() {
             return Err(Failure::new(format!(
                 "the object `{id}` is {:.0} mm wide; the hand opens to {:.0} mm",
@@ -137,6 +137,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let planned =
         Outcome::success().with("grasp_pose", pose_value(&grasp)).with("pre_pose", pose_value(&pre));
     Ok(planned.with("aperture", aperture).with("object_pose", pose_value(&object)))
+}
+
+/// The TCP's poses at a grasp and over it (root frame), and the aperture of the hand, m.
+#[derive(Clone, Copy)]
+struct Grasp {
+    grasp: Isometry3<f64>,
+    pre: Isometry3<f64>,
+    aperture: f64,
 }
 
 /// The widest aperture from `widest` down to `needed`, m, with which no finger meets anything; `None` if there is none.

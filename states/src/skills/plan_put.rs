@@ -57,7 +57,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let joints = free_joints(&equipment, &context, arm);
     let level = rotation.inverse() * model.link_pose(&now, tcp).rotation * hand.palm_down(0.0).inverse();
     let yaw = level.euler_angles().2;
-    let reach = Reach { model, joints: &joints, tcp, near: &now };
+    let mut reach = Reach::new(model, &joints, tcp, &now);
     let turns = (-STEPS..=STEPS).map(|step| STEP * f64::from(step));
     let (height, back) = (context.number("height")?, context.number("back")?);
     let poses = turns.filter_map(|turn| {
