@@ -14,6 +14,8 @@ const EVERY: f64 = 0.02;
 const LONGEST: f64 = 300.0;
 /// A way that has repeated so often is periodic.
 const REPEATED: f64 = 3.0;
+/// A hand that has moved on by less than this rests, m.
+const RESTS: f64 = 0.01;
 /// Where the motion was learned.
 const SOURCE: &str = "a hand that was led";
 
@@ -23,11 +25,14 @@ pub(crate) struct LedWay {
     /// Time since the last pose, s.
     since: f64,
     rhythm: Imitation,
+    /// How many of the poses the rhythm has been told: not those since the hand rests, as it is let go at the end.
+    told: usize,
 }
 
 impl LedWay {
     pub(crate) fn new() -> Result<Self, Failure> {
-        Ok(Self { poses: Vec::new(), since: EVERY, rhythm: Imitation::with_dofs(3).map_err(failed)? })
+        let rhythm = Imitation::with_dofs(3).map_err(failed)?;
+        Ok(Self { poses: Vec::new(), since: EVERY, rhythm, told: 0 })
     }
 
     /// Takes a pose of the hand into account, `dt` s after the last one, root frame.
@@ -43,7 +48,16 @@ impl LedWay {
             )));
         }
         self.poses.push(*pose);
-        self.rhythm.observe(EVERY, pose.translation.vector.as_slice()).map_err(failed)
+        let place = |pose: &Isometry3<f64>| pose.translation.vector;
+        let last = self.told.checked_sub(1).map(|last| place(&self.poses[last]));
+        if last.is_some_and(|last| (place(pose) - last).norm() < RESTS) {
+            return Ok(());
+        }
+        for pose in &self.poses[self.told..] {
+            self.rhythm.observe(EVERY, place(pose).as_slice()).map_err(failed)?;
+        }
+        self.told = self.poses.len();
+        Ok(())
     }
 
     /// What was learned.
@@ -73,8 +87,36 @@ impl LedWay {
             // How long ago this phase was, in periods.
             let ago = (end - k as f64 / count as f64).rem_euclid(1.0);
             let back = (ago * count as f64).round() as usize;
-            self.poses[(self.poses.len() - 1).saturating_sub(back)].rotation
+            self.poses[self.told.saturating_sub(1 + back)].rotation
         };
         (0..count).map(at).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_way_that_has_repeated_is_periodic_however_long_the_hand_rests_then() {
+        for rest_s in [0.0, 1.0, 10.0] {
+            let mut way = LedWay::new().unwrap();
+            let (period_s, times) = (2.0, 8.0);
+            for k in 0..((period_s * times + rest_s) / EVERY) as u32 {
+                let (sin, cos) = libm::sincos(TAU * (f64::from(k) * EVERY / period_s).min(times));
+                let turned = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.2 * cos);
+                let pose = Isometry3::from_parts([0.06 * cos, 0.5 + 0.05 * sin, 1.0].into(), turned);
+                way.add(EVERY, &pose).unwrap();
+            }
+            let StoredMotion::Motion(motion) = way.learned("led").unwrap() else { panic!("{rest_s} s") };
+            assert!((motion.frequency_hz() - 0.5).abs() < 0.005, "{rest_s} s: {}", motion.frequency_hz());
+            // Where the hand is at the side at which it was turned most, the motion turns it so, too.
+            let turn = |phase: f64| way.last_period(0.5)[(phase * 100.0) as usize].euler_angles().2;
+            let most = (0..100).map(|k| f64::from(k) / 100.0).max_by(|a, b| turn(*a).total_cmp(&turn(*b)));
+            let at = motion.primitive().steady_path(100).unwrap();
+            let side = (0..100).max_by(|a, b| at.y[*a][0].total_cmp(&at.y[*b][0])).unwrap();
+            let apart = (most.unwrap() - side as f64 / 100.0 + 1.5).rem_euclid(1.0) - 0.5;
+            assert!(apart.abs() < 0.06, "{rest_s} s: {apart} of a period");
+        }
     }
 }
