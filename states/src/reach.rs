@@ -1,4 +1,5 @@
-//! What the arm reaches: poses, by how far its joints are from their limits there and the arm from its own body, and motions, by the speed that they need of its joints.
+//! What the arm reaches: poses, by how far its joints are from their limits there and the arm from its own body, and motions, by the
+//! speed that they need of its joints.
 
 use std::sync::Arc;
 
@@ -19,9 +20,10 @@ const POINTS: usize = 48;
 const MIN_MARGIN: f64 = 0.03;
 const FREE_MARGIN: f64 = 0.1;
 
-/// What each m costs by which an arm comes nearer than [`ROOM`] m to its own body, as margin in rad. Where the guard stops it that is about 1 rad.
-const NEAR_COST: f64 = 25.0;
+/// How far from its own body the arm is to be, m, and what each m costs by which it is nearer, as margin in rad: about 1 rad where the guard
+/// stops it.
 const ROOM: f64 = 0.06;
+const NEAR_COST: f64 = 25.0;
 
 /// The joints with which a TCP reaches.
 pub(crate) struct Reach<'a> {
@@ -73,8 +75,9 @@ impl<'a> Reach<'a> {
         Ok((margin, cost))
     }
 
+    /// What it costs that the arm is near to its own body with all joints at `q`, rad (m); as margin in rad.
     fn cost_of_own_body(&mut self, q: &[f64]) -> f64 {
-        let near = self.own.nearest_stop(self.joints, q, ROOM);
+        let near = self.own.nearest_guarded(self.joints, q, ROOM);
         near.map_or(0.0, |near| NEAR_COST * (ROOM - near.distance_m))
     }
 }

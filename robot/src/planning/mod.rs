@@ -151,19 +151,19 @@ impl Planner {
     /// The two bodies that the guard lets come no nearer to each other with all joints at `q`, rad (m), as far as `joints` move one against the
     /// other: the robot's own, and its hands before the boxes that [`stopped_before`](Self::stopped_before) names.
     pub fn stopped_by(&mut self, joints: &[usize], q: &[f64]) -> Option<Nearness> {
-        self.nearest_stop(joints, q, CLEARANCE)
+        self.nearest_guarded(joints, q, CLEARANCE)
     }
 
-    /// The two of these bodies that are nearest to each other, if any are within `within` m (0.3 at most): the guard would stop the arm if
-    /// they came much nearer.
-    pub fn nearest_stop(&mut self, joints: &[usize], q: &[f64], within: f64) -> Option<Nearness> {
+    /// Of the bodies between which the guard keeps a distance, as far as `joints` move one against the other, the two that are nearest to each
+    /// other with all joints at `q`, rad (m), if any are within `within` m (0.3 at most).
+    pub fn nearest_guarded(&mut self, joints: &[usize], q: &[f64], within: f64) -> Option<Nearness> {
         self.look(q);
         let links: Vec<[LinkId; 2]> = self.bodies.pairs().collect();
         let moved =
             |[a, b]: [LinkId; 2]| joints.iter().any(|&j| self.model.moves(j, a) != self.model.moves(j, b));
         let near = self.distances.near(within);
-        let stopping = near.filter(|(pair, _)| self.at_goal[*pair] == STOPS && moved(links[*pair]));
-        let (pair, near) = stopping.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))?;
+        let guarded = near.filter(|(pair, _)| self.at_goal[*pair] == STOPS && moved(links[*pair]));
+        let (pair, near) = guarded.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))?;
         Some(self.nearness(pair, near.distance))
     }
 

@@ -23,7 +23,7 @@ pub(super) const PROBE: Probe = Probe {
     },
 };
 
-/// Contact counts as lost below this normal force, mN: compared as a recording keeps it, so that the figures computed from one are the same.
+/// Contact counts as lost below this normal force, mN. What a recording does not keep decides nothing: the figures computed from it are the same.
 const LOST_MN: f64 = 200.0;
 /// Window after the first touch in which its peak is searched, s.
 const TOUCHDOWN_S: f64 = 0.5;
@@ -85,6 +85,7 @@ fn force(run: &JudgedRun<'_>) -> Option<ForceFigures> {
     })
 }
 
+/// A force, N, as a recording keeps it: mN.
 fn millinewtons(force: f64) -> f64 {
     (force * 1e3).round()
 }

@@ -1,5 +1,5 @@
 //! `PlanGrasp`: chooses a grasp of an object straight against the surface on which it stands: the yaw of the hand for which the
-//! arm has the most margin to its joint limits, and how wide the hand opens: as wide as it can without a finger that comes down on another
+//! arm has the most margin to its joint limits and its own body, and how wide the hand opens: as wide as it can without a finger that comes down on another
 //! thing that memory knows.
 
 use std::f64::consts::FRAC_PI_2;

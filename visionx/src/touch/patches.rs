@@ -124,9 +124,9 @@ pub(super) fn align(
 pub(super) enum PatchMotion {
     /// Where it would be without the motion that is looked for.
     Still,
-    /// Where that motion, or most of it, would have brought it.
+    /// Where that motion, or 60 % of it at least, would have brought it.
     Moved,
-    /// Where a small part of that motion would have brought it.
+    /// Where less of that motion would have brought it.
     MovedLittle,
     /// Nowhere on that way: something else hides it, or it has changed.
     Otherwise,

@@ -80,20 +80,20 @@ impl TouchStep {
     fn touch(&mut self, stamp_ns: u64) -> Option<Observation> {
         let moved = self.watch.witnesses.agree()?;
         let mean = moved.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / moved.len() as f64;
-        let thing = self.thing_of(moved)?;
-        if !self.is_at_a_finger(&thing)? {
+        let now = self.watch.newest()?;
+        let thing = self.thing_of(now, moved);
+        if !may_touch(now, &thing) {
             return None;
         }
         let place = self.middle_of(&thing, mean)?;
-        let (finger, _) = self.watch.newest()?.hand.nearest_finger(&place)?;
+        let (finger, _) = now.hand.nearest_finger(&place)?;
         let place = ObservedPlace::new(&Frame::root(), &place.coords, &(Matrix3::identity() * PLACE * PLACE));
         let seen = Observation::new(TOUCHES, "touch", stamp_ns).named(&self.watch.name).at(place);
         Some(seen.with("finger", finger.name.as_str()).with("by", "seen"))
     }
 
-    /// All that is seen of the thing of which these points have moved; root frame.
-    fn thing_of(&self, moved: Vec<Point3<f64>>) -> Option<Vec<Point3<f64>>> {
-        let now = self.watch.newest()?;
+    /// All that is seen now of the thing of which these points have moved; root frame, m.
+    fn thing_of(&self, now: &Picture, moved: Vec<Point3<f64>>) -> Vec<Point3<f64>> {
         let mut others: Vec<_> =
             now.around_fingers().filter_map(|px| now.raised(px, 0, &self.table)).collect();
         let (mut thing, mut next) = (moved, 0);
@@ -103,17 +103,7 @@ impl TouchStep {
             thing.extend(near);
             (others, next) = (far, next + 1);
         }
-        Some(thing)
-    }
-
-    /// Whether a finger may touch a thing of which these points (root frame) are seen: not where there is seen to be nothing between them.
-    fn is_at_a_finger(&self, thing: &[Point3<f64>]) -> Option<bool> {
-        let now = self.watch.newest()?;
-        Some(now.hand.fingers.iter().any(|finger| {
-            let distances = thing.iter().map(|at| (at, finger.part.distance(at)));
-            let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
-            nearest.is_some_and(|(at, _)| now.free_way(at, &finger.part.nearest(at)) < FREE)
-        }))
+        thing
     }
 
     /// The middle of a thing of which these points are seen, and of which those that have moved have this mean (root frame): across the hand's
@@ -126,6 +116,15 @@ impl TouchStep {
         let [low, high] = [f64::min, f64::max].map(|most| places.clone().reduce(most));
         Some(Point3::from(moved + across * ((low? + high?) / 2.0 - across.dot(&moved))))
     }
+}
+
+/// Whether a finger may touch a thing of which these points (root frame, m) are seen: not where nothing is seen to be between them.
+fn may_touch(now: &Picture, thing: &[Point3<f64>]) -> bool {
+    now.hand.fingers.iter().any(|finger| {
+        let ways = thing.iter().map(|at| (*at, finger.part.nearest(at)));
+        let shortest = ways.min_by(|a, b| (a.1 - a.0).norm().total_cmp(&(b.1 - b.0).norm()));
+        shortest.is_some_and(|(at, there)| now.free_way(&at, &there) < FREE)
+    })
 }
 
 impl StereoStep for TouchStep {

@@ -38,7 +38,7 @@ impl HandWatch {
         Self { camera, name, hand_at, kept: VecDeque::new(), witnesses: Witnesses::default() }
     }
 
-    /// Takes a new picture; where it has no depth, or is of a time at which nobody knows where the hand was, it shows nothing.
+    /// Takes a new picture; `false` where it shows nothing: it has no depth, or nobody knows where the hand was at its time.
     pub(super) fn take(&mut self, frame: &StereoFrame) -> bool {
         let hand = (self.hand_at)(frame.stamp_ns);
         let Some(picture) = hand.and_then(|hand| Picture::new(frame, &self.camera, hand)) else {

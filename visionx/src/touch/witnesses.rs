@@ -8,10 +8,10 @@ use crate::frame::RgbImage;
 
 /// How far apart patches of one thing may be, m.
 const TOGETHER: f64 = 0.10;
-/// So many patches of a thing, and such a share of them, must have moved in one picture, or in two that follow each other. A little is
-/// enough, but in the second of two pictures not for all: of this share most of the hand's motion is asked.
+/// So many patches of a thing, and such a share of them, must have moved, at least a little, in one picture, or in two that follow each other.
 const SURE: (usize, f64) = (24, 0.75);
 const LIKELY: (usize, f64) = (8, 0.35);
+/// In the second of two pictures this share of those that moved must have made most of the motion.
 const MOSTLY: f64 = 0.25;
 
 /// A patch of a thing.
@@ -61,10 +61,12 @@ impl Witnesses {
         let before = std::mem::take(&mut self.likely);
         let middle = *any.iter().max_by_key(|at| around(at, &any))?;
         let still = around(&middle, &still);
-        let [most, all] = [&moved, &any].map(|moving| around(&middle, moving));
-        let is = |(enough, share): (usize, f64)| all >= enough && all as f64 >= share * (all + still) as f64;
+        let [far, moving] = [&moved, &any].map(|moved| around(&middle, moved));
+        let is = |(enough, share): (usize, f64)| {
+            moving >= enough && moving as f64 >= share * (moving + still) as f64
+        };
         self.likely = is(LIKELY) && !self.at_once;
-        let again = before && self.likely && most as f64 >= MOSTLY * all as f64;
+        let again = before && self.likely && far as f64 >= MOSTLY * moving as f64;
         (is(SURE) || again).then_some(any)
     }
 
