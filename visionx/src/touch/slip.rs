@@ -17,6 +17,8 @@ use crate::steps::StereoStep;
 const SLIPS: &str = "Slips";
 /// Standard deviation of the place of a slip, m.
 const PLACE: f64 = 0.02;
+/// What is farther from all fingers is not held, m.
+const AT_FINGERS: f64 = 0.04;
 
 /// Sees that what a hand holds slips while the hand moves, as `Slips` named after the hand, with its `position`, and `by: seen`. Where nothing
 /// slips it observes nothing. It looks at frames with depth only.
@@ -96,6 +98,11 @@ impl SlipStep {
 
     fn slip(&mut self, stamp_ns: u64) -> Option<Observation> {
         let moved = self.watch.witnesses.agree()?;
+        let (_, then, _) = self.watch.moved()?;
+        let distance = |at| then.hand.nearest_finger(at).map(|(_, distance)| distance);
+        if !moved.iter().filter_map(distance).any(|distance| distance < AT_FINGERS) {
+            return None;
+        }
         let middle = moved.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / moved.len() as f64;
         let place = ObservedPlace::new(&Frame::root(), &middle, &(Matrix3::identity() * PLACE * PLACE));
         let slip = Observation::new(SLIPS, "slip", stamp_ns).named(&self.watch.name).at(place);
