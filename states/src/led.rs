@@ -14,8 +14,9 @@ const EVERY: f64 = 0.02;
 const LONGEST: f64 = 300.0;
 /// A way that has repeated so often is periodic.
 const REPEATED: f64 = 3.0;
-/// A hand that has moved on by less than this rests, m.
+/// A hand that has moved on by less than this rests, m. A rest of at most so long, s, is a part of the way, as at a corner; a longer one is not.
 const RESTS: f64 = 0.01;
+const SHORT: f64 = 0.5;
 /// Where the motion was learned.
 const SOURCE: &str = "a hand that was led";
 
@@ -25,48 +26,61 @@ pub(crate) struct LedWay {
     /// Time since the last pose, s.
     since: f64,
     rhythm: Imitation,
-    /// How many of the poses the rhythm has been told: not those since the hand rests, as it is let go at the end.
-    told: usize,
+    /// The poses since the hand rests, and whether it was led there. They belong to the way once it moves on.
+    resting: Vec<(Isometry3<f64>, bool)>,
+    /// Whether this rest is a long one.
+    long: bool,
 }
 
 impl LedWay {
     pub(crate) fn new() -> Result<Self, Failure> {
         let rhythm = Imitation::with_dofs(3).map_err(failed)?;
-        Ok(Self { poses: Vec::new(), since: EVERY, rhythm, told: 0 })
+        Ok(Self { poses: Vec::new(), since: EVERY, rhythm, resting: Vec::new(), long: false })
     }
 
-    /// Takes a pose of the hand into account, `dt` s after the last one, root frame.
-    pub(crate) fn add(&mut self, dt: f64, pose: &Isometry3<f64>) -> Result<(), Failure> {
+    /// Takes a pose of the hand into account, `dt` s after the last one, root frame, and whether the hand is led now. The way begins where it is
+    /// first.
+    pub(crate) fn add(&mut self, dt: f64, pose: &Isometry3<f64>, led: bool) -> Result<(), Failure> {
         self.since += dt;
         if self.since < EVERY - 1e-9 {
             return Ok(());
         }
         self.since -= EVERY;
-        if self.poses.len() as f64 * EVERY > LONGEST {
+        if !led && (self.long || self.poses.is_empty()) {
+            return Ok(());
+        }
+        if (self.poses.len() + self.resting.len()) as f64 * EVERY > LONGEST {
             return Err(Failure::new(format!(
                 "the hand is led for more than {LONGEST:.0} s, which cannot be kept"
             )));
         }
-        self.poses.push(*pose);
+        self.resting.push((*pose, led));
         let place = |pose: &Isometry3<f64>| pose.translation.vector;
-        let last = self.told.checked_sub(1).map(|last| place(&self.poses[last]));
-        if last.is_some_and(|last| (place(pose) - last).norm() < RESTS) {
+        if self.poses.last().is_some_and(|last| (place(pose) - place(last)).norm() < RESTS) {
+            let rested = self.resting.iter().filter(|(_, led)| !led).count() as f64 * EVERY;
+            if rested > SHORT {
+                self.long = true;
+                self.resting.retain(|(_, led)| *led);
+            }
             return Ok(());
         }
-        for pose in &self.poses[self.told..] {
-            self.rhythm.observe(EVERY, place(pose).as_slice()).map_err(failed)?;
+        for (pose, _) in self.resting.drain(..) {
+            self.rhythm.observe(EVERY, place(&pose).as_slice()).map_err(failed)?;
+            self.poses.push(pose);
         }
-        self.told = self.poses.len();
+        self.long = false;
         Ok(())
     }
 
-    /// What was learned.
+    /// What was learned. As the hand is let go at the end, a rhythm is learned without the last rest.
     pub(crate) fn learned(&self, name: &str) -> Result<StoredMotion, Failure> {
         let periodic = self.rhythm.result().filter(|_| self.rhythm.periods() >= REPEATED);
         match periodic {
             Some((position, hz)) => Ok(StoredMotion::Motion(Box::new(self.periodic(name, position, hz)?))),
             None => {
-                let learned = Movement::learn(name, "root", EVERY, &self.poses, SOURCE);
+                let last = self.resting.iter().filter(|(_, led)| *led).map(|(pose, _)| *pose);
+                let all: Vec<_> = self.poses.iter().copied().chain(last).collect();
+                let learned = Movement::learn(name, "root", EVERY, &all, SOURCE);
                 Ok(StoredMotion::Movement(Box::new(learned.map_err(failed)?)))
             }
         }
@@ -87,7 +101,7 @@ impl LedWay {
             // How long ago this phase was, in periods.
             let ago = (end - k as f64 / count as f64).rem_euclid(1.0);
             let back = (ago * count as f64).round() as usize;
-            self.poses[self.told.saturating_sub(1 + back)].rotation
+            self.poses[self.poses.len().saturating_sub(1 + back)].rotation
         };
         (0..count).map(at).collect()
     }
@@ -95,6 +109,8 @@ impl LedWay {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     #[test]
@@ -106,7 +122,7 @@ mod tests {
                 let (sin, cos) = libm::sincos(TAU * (f64::from(k) * EVERY / period_s).min(times));
                 let turned = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.2 * cos);
                 let pose = Isometry3::from_parts([0.06 * cos, 0.5 + 0.05 * sin, 1.0].into(), turned);
-                way.add(EVERY, &pose).unwrap();
+                way.add(EVERY, &pose, true).unwrap();
             }
             let StoredMotion::Motion(motion) = way.learned("led").unwrap() else { panic!("{rest_s} s") };
             assert!((motion.frequency_hz() - 0.5).abs() < 0.005, "{rest_s} s: {}", motion.frequency_hz());
@@ -117,6 +133,27 @@ mod tests {
             let side = (0..100).max_by(|a, b| at.y[*a][0].total_cmp(&at.y[*b][0])).unwrap();
             let apart = (most.unwrap() - side as f64 / 100.0 + 1.5).rem_euclid(1.0) - 0.5;
             assert!(apart.abs() < 0.06, "{rest_s} s: {apart} of a period");
+        }
+    }
+
+    #[test]
+    fn short_rests_at_corners_are_a_part_of_the_rhythm_and_long_ones_are_not() {
+        let corners =
+            [[0.0, 0.0], [0.08, 0.0], [0.08, 0.08], [0.0, 0.08]].map(|[x, y]| Vector3::new(x, y, 1.0));
+        let (moves, side_s) = (15, 0.3);
+        for (rests, rest_s) in [(10, 0.2), (50, 0.0)] {
+            let mut way = LedWay::new().unwrap();
+            for side in 0..32 {
+                let (from, to) = (corners[side % 4], corners[(side + 1) % 4]);
+                for k in 0..moves + rests {
+                    let at = from + (to - from) * (f64::from(k) / f64::from(moves)).min(1.0);
+                    let pose = Isometry3::from_parts(at.into(), UnitQuaternion::identity());
+                    way.add(EVERY, &pose, k < moves).unwrap();
+                }
+            }
+            let StoredMotion::Motion(motion) = way.learned("led").unwrap() else { panic!("{rests} rests") };
+            let hz = 0.25 / (side_s + rest_s);
+            assert!((motion.frequency_hz() - hz).abs() < 0.02 * hz, "{rests}: {}", motion.frequency_hz());
         }
     }
 }

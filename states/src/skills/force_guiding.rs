@@ -90,10 +90,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 let mut possible = arm.twist(&sample, linear - carried, angular)?;
                 possible.linear += carried;
                 let both = possible.linear.iter().chain(&possible.angular).copied();
-                way.add(dt, &pose)?;
                 law.hold_to(&Vector6::from_iterator(both)).map_err(failed)?;
             }
         }
+        way.add(dt, &pose, step.status == GuidingStatus::Led)?;
         let moved = step.twist.fixed_rows::<3>(0).norm() * dt;
         led.add(dt, moved, arm.force(&sample)?.norm());
         if led.rested > released && led.way > LED {

@@ -90,7 +90,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             all.len()
         )));
     }
-    let mounting = fitted(&floors)?;
+    let floors = without_what_is_no_floor(floors)?;
+    let mounting = fit(&floors)?;
     let turn = mounting.believed_from_camera().rotation;
     let upright =
         UnitQuaternion::rotation_between_axis(&mounting.surface_up(), &Vector3::z_axis()).unwrap_or_default();
@@ -123,19 +124,39 @@ impl Floor {
     }
 }
 
-/// How cameras and neck are tilted by these pictures. In some of them a part of something else passes for the floor: what is far off the others
-/// is left out.
-fn fitted(floors: &[Floor]) -> Result<CameraMounting, Failure> {
-    let first = fit(floors.iter())?;
+/// In some pictures a part of something else passes for the floor: those that are far off the others are left out.
+fn without_what_is_no_floor(mut floors: Vec<Floor>) -> Result<Vec<Floor>, Failure> {
+    let first = fit(&floors)?;
     let off = |floor: &Floor| (first.from_shown(&floor.eyes) * floor.up()).angle(&first.surface_up());
     let mut offs: Vec<f64> = floors.iter().map(off).collect();
     offs.sort_by(f64::total_cmp);
     let usual = offs.get(offs.len() / 2).copied().unwrap_or_default();
-    fit(floors.iter().filter(|floor| off(floor) <= FAR_OFF * usual))
+    floors.retain(|floor| off(floor) <= FAR_OFF * usual);
+    Ok(floors)
 }
 
-fn fit<'f>(mut floors: impl Iterator<Item = &'f Floor>) -> Result<CameraMounting, Failure> {
+/// How cameras and neck are tilted by these pictures.
+fn fit(floors: &[Floor]) -> Result<CameraMounting, Failure> {
     let mut mounting = CameraMounting::default();
-    floors.try_for_each(|floor| mounting.see_surface(&floor.eyes, &floor.up())).map_err(failed)?;
+    floors.iter().try_for_each(|floor| mounting.see_surface(&floor.eyes, &floor.up())).map_err(failed)?;
     Ok(mounting)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_only_passes_for_the_floor_says_neither_how_cameras_are_tilted_nor_how_high_they_are() {
+        let eyes = Isometry3::translation(0.0, 0.0, 1.6);
+        let shown = |tilt: f64, height: f64| {
+            let shown = Isometry3::new(Vector3::new(0.0, 2.0, height), Vector3::x() * tilt);
+            Floor { eyes, believed: eyes, shown }
+        };
+        let noise = [1.0, -2.0, 1.5, -1.0, 2.0, -1.5].map(|k| shown(0.001 * k, 0.0));
+        let chest = [shown(0.09, 0.06), shown(0.091, 0.058)];
+        let floors = without_what_is_no_floor(noise.into_iter().chain(chest).collect()).unwrap();
+        let heights: Vec<f64> = floors.iter().map(|floor| floor.shown.translation.z).collect();
+        assert!(heights.len() >= 4 && heights.iter().all(|height| *height == 0.0), "{heights:?}");
+    }
 }
