@@ -14,9 +14,10 @@ const EVERY: f64 = 0.02;
 const LONGEST: f64 = 300.0;
 /// A way that has repeated so often is periodic.
 const REPEATED: f64 = 3.0;
-/// A hand that has moved on by less than this rests, m. A rest of at most so long, s, is a part of the way, as at a corner; a longer one is not.
+/// A hand that has moved on by less than this rests, m.
 const RESTS: f64 = 0.01;
-const SHORT: f64 = 0.5;
+/// A rest of at most so long, s, is a part of the way, as at a corner; a longer one is not.
+const SHORT_REST: f64 = 0.5;
 /// Where the motion was learned.
 const SOURCE: &str = "a hand that was led";
 
@@ -26,16 +27,15 @@ pub(crate) struct LedWay {
     /// Time since the last pose, s.
     since: f64,
     rhythm: Imitation,
-    /// The poses since the hand rests, and whether it was led there. They belong to the way once it moves on.
+    /// The poses since the hand rests, and whether it was led there. They belong to the way once it moves on; of a long rest only those in
+    /// which it was led.
     resting: Vec<(Isometry3<f64>, bool)>,
-    /// Whether this rest is a long one.
-    long: bool,
 }
 
 impl LedWay {
     pub(crate) fn new() -> Result<Self, Failure> {
         let rhythm = Imitation::with_dofs(3).map_err(failed)?;
-        Ok(Self { poses: Vec::new(), since: EVERY, rhythm, resting: Vec::new(), long: false })
+        Ok(Self { poses: Vec::new(), since: EVERY, rhythm, resting: Vec::new() })
     }
 
     /// Takes a pose of the hand into account, `dt` s after the last one, root frame, and whether the hand is led now. The way begins where it is
@@ -46,7 +46,8 @@ impl LedWay {
             return Ok(());
         }
         self.since -= EVERY;
-        if !led && (self.long || self.poses.is_empty()) {
+        let long = self.rests_long();
+        if !led && (self.poses.is_empty() || long) {
             return Ok(());
         }
         if (self.poses.len() + self.resting.len()) as f64 * EVERY > LONGEST {
@@ -57,19 +58,18 @@ impl LedWay {
         self.resting.push((*pose, led));
         let place = |pose: &Isometry3<f64>| pose.translation.vector;
         if self.poses.last().is_some_and(|last| (place(pose) - place(last)).norm() < RESTS) {
-            let rested = self.resting.iter().filter(|(_, led)| !led).count() as f64 * EVERY;
-            if rested > SHORT {
-                self.long = true;
-                self.resting.retain(|(_, led)| *led);
-            }
             return Ok(());
         }
-        for (pose, _) in self.resting.drain(..) {
+        for (pose, _) in self.resting.drain(..).filter(|(_, led)| *led || !long) {
             self.rhythm.observe(EVERY, place(&pose).as_slice()).map_err(failed)?;
             self.poses.push(pose);
         }
-        self.long = false;
         Ok(())
+    }
+
+    /// Whether the hand has rested for long without being led.
+    fn rests_long(&self) -> bool {
+        self.resting.iter().filter(|(_, led)| !led).count() as f64 * EVERY > SHORT_REST
     }
 
     /// What was learned. As the hand is let go at the end, a rhythm is learned without the last rest.

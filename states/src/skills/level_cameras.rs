@@ -90,7 +90,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             all.len()
         )));
     }
-    let floors = without_what_is_no_floor(floors)?;
+    let floors = without_outliers(floors)?;
     let mounting = fit(&floors)?;
     let turn = mounting.believed_from_camera().rotation;
     let upright =
@@ -124,8 +124,8 @@ impl Floor {
     }
 }
 
-/// In some pictures a part of something else passes for the floor: those that are far off the others are left out.
-fn without_what_is_no_floor(mut floors: Vec<Floor>) -> Result<Vec<Floor>, Failure> {
+/// The pictures without those that are far off the others: in some a part of something else passes for the floor.
+fn without_outliers(mut floors: Vec<Floor>) -> Result<Vec<Floor>, Failure> {
     let first = fit(&floors)?;
     let off = |floor: &Floor| (first.from_shown(&floor.eyes) * floor.up()).angle(&first.surface_up());
     let mut offs: Vec<f64> = floors.iter().map(off).collect();
@@ -155,7 +155,7 @@ mod tests {
         };
         let noise = [1.0, -2.0, 1.5, -1.0, 2.0, -1.5].map(|k| shown(0.001 * k, 0.0));
         let chest = [shown(0.09, 0.06), shown(0.091, 0.058)];
-        let floors = without_what_is_no_floor(noise.into_iter().chain(chest).collect()).unwrap();
+        let floors = without_outliers(noise.into_iter().chain(chest).collect()).unwrap();
         let heights: Vec<f64> = floors.iter().map(|floor| floor.shown.translation.z).collect();
         assert!(heights.len() >= 4 && heights.iter().all(|height| *height == 0.0), "{heights:?}");
     }

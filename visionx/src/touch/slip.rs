@@ -17,7 +17,7 @@ use crate::steps::StereoStep;
 const SLIPS: &str = "Slips";
 /// Standard deviation of the place of a slip, m.
 const PLACE: f64 = 0.02;
-/// What is farther from all fingers is not held, m.
+/// What is farther than this from all fingers is not held, m.
 const AT_FINGERS: f64 = 0.04;
 
 /// Sees that what a hand holds slips while the hand moves, as `Slips` named after the hand, with its `position`, and `by: seen`. Where nothing
