@@ -17,8 +17,9 @@ use armarium_visionx::tracking::{
     FingerTipSettings, FingerTipTracking, HandDetector, LearnedHandDetector, SkinHandDetector,
 };
 use armarium_visionx::{
-    ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, MarkerStep, ObjectLocalizer,
-    PinholeCamera, RgbImage, StereoCalibration, StereoFrame, StereoStep, TabletopSegmentation, TabletopStep,
+    BodyObserver, ColorMarkerObjectTracking, ColorModel, DepthImage, HandObserver, HandStep, MarkerStep,
+    ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame, StereoStep,
+    TabletopSegmentation, TabletopStep,
 };
 use nalgebra::{Isometry3, Point2, Vector2, Vector3};
 
@@ -128,6 +129,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         Box::new(MarkerStep::new(marker, "marker")),
         Box::new(TabletopStep::new(TabletopSegmentation::new(CALIBRATION.camera))),
     ];
+    let mut people = BodyObserver::new(CALIBRATION);
+    measure("people, where nobody is", STEREO, |_| people.update(&frame, &[]).is_none());
     measure("hand, marker, table together", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
         together.step(&frame).len() >= 3

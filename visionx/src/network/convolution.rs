@@ -2,19 +2,19 @@
 //!
 //! The loops are vectorised over channels of the output, never over the terms of a sum: each output is the sum of its terms in
 //! their order, with one rounding a product and one an addition. So the width of the machine's registers changes no bit. The vectors
-//! are written out, as what a compiler finds by itself hangs on how a crate is split for it.
+//! are written out ([`Lanes`]), as what a compiler finds by itself hangs on how a crate is split for it.
 
 use std::ops::Range;
 
-use wide::f32x8;
-
 use super::NetworkError;
+use super::lanes::{LANES, Lanes, OnLanes, on_widest};
 use super::window::{ImageShape, Window};
 
-/// Outputs that are computed together: two registers of 128 bits.
-const LANES: usize = 8;
-/// Pixels that are computed together; with [`LANES`] channels their sums fill half of the registers.
+/// Pixels that are computed together.
 const TILE: usize = 4;
+/// Vectors that are computed together: as no sum waits for another, the processor works on all at once.
+const PAIR: usize = 2;
+const FOUR: usize = 4;
 
 /// What is done with each value at the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,14 +36,19 @@ impl Activation {
     }
 }
 
+/// Numbers for outputs that are computed together.
+type Group = [[f32; LANES]; PAIR];
+/// Their number.
+const GROUP: usize = PAIR * LANES;
+
 /// A convolution of all channels with all.
 #[derive(Debug)]
 pub(super) struct Convolution {
     window: Window,
     outputs: usize,
-    /// For each group of [`LANES`] outputs, for each input of the window, a weight for each of them.
-    weights: Vec<[f32; LANES]>,
-    bias: Vec<[f32; LANES]>,
+    /// For each group of outputs, for each input of the window, a weight for each of them.
+    weights: Vec<Group>,
+    bias: Vec<Group>,
     activation: Activation,
 }
 
@@ -59,14 +64,17 @@ impl Convolution {
         if outputs == 0 || terms == 0 || Some(weights.len()) != outputs.checked_mul(terms) {
             return Err(NetworkError::Shape);
         }
-        let mut packed = vec![[0.0; LANES]; outputs.div_ceil(LANES) * terms];
+        let groups = outputs.div_ceil(GROUP);
+        let mut packed = vec![Group::default(); groups * terms];
         for (output, weights) in weights.chunks_exact(terms).enumerate() {
-            let group = &mut packed[output / LANES * terms..][..terms];
-            group.iter_mut().zip(weights).for_each(|(lanes, weight)| lanes[output % LANES] = *weight);
+            let of_group = packed[output / GROUP * terms..].iter_mut();
+            of_group
+                .zip(weights)
+                .for_each(|(group, weight)| group.as_flattened_mut()[output % GROUP] = *weight);
         }
-        let mut lanes = vec![[0.0; LANES]; outputs.div_ceil(LANES)];
-        bias.iter().enumerate().for_each(|(i, bias)| lanes[i / LANES][i % LANES] = *bias);
-        Ok(Self { window, outputs, weights: packed, bias: lanes, activation })
+        let mut biases = vec![Group::default(); groups];
+        biases.as_flattened_mut().as_flattened_mut()[..outputs].copy_from_slice(bias);
+        Ok(Self { window, outputs, weights: packed, bias: biases, activation })
     }
 
     pub(super) fn shape(&self) -> ImageShape {
@@ -76,10 +84,15 @@ impl Convolution {
 
     /// Products in one run.
     pub(super) fn products(&self) -> usize {
-        self.window.places().saturating_mul(self.weights.len()).saturating_mul(LANES)
+        self.window.places().saturating_mul(self.weights.len()).saturating_mul(GROUP)
     }
 
     pub(super) fn run(&self, input: &[f32], output: &mut [f32]) {
+        on_widest(Run { of: self, input, output });
+    }
+
+    #[inline(always)]
+    pub(super) fn run_on<L: Lanes>(&self, lanes: L, input: &[f32], output: &mut [f32]) {
         let terms = self.window.size[0] * self.window.size[1] * self.window.input.channels;
         let mut patches = vec![0.0; if self.window.is_pixelwise() { 0 } else { TILE * terms }];
         for (tile, outputs) in output.chunks_mut(TILE * self.outputs).enumerate() {
@@ -96,10 +109,16 @@ impl Convolution {
             // The last tile may be smaller: its last pixel is computed several times.
             let rows: [&[f32]; TILE] = std::array::from_fn(|i| &inputs[i.min(count - 1) * terms..][..terms]);
             for (group, (weights, bias)) in self.weights.chunks_exact(terms).zip(&self.bias).enumerate() {
-                let sums = tile_sums(rows, weights, bias);
-                let (from, to) = (group * LANES, (group * LANES + LANES).min(self.outputs));
-                for (pixel, sums) in outputs.chunks_exact_mut(self.outputs).zip(&sums) {
-                    pixel[from..to].copy_from_slice(&sums[..to - from]);
+                let (from, to) = (group * GROUP, (group * GROUP + GROUP).min(self.outputs));
+                if L::EIGHT_SUMS && to - from > LANES {
+                    let pixels = outputs.chunks_exact_mut(self.outputs).map(|pixel| &mut pixel[from..to]);
+                    tile_sums::<L, PAIR>(lanes, rows, (weights, bias), 0, pixels);
+                    continue;
+                }
+                for (vector, from) in (from..to).step_by(LANES).enumerate() {
+                    let to = to.min(from + LANES);
+                    let pixels = outputs.chunks_exact_mut(self.outputs).map(|pixel| &mut pixel[from..to]);
+                    tile_sums::<L, 1>(lanes, rows, (weights, bias), vector, pixels);
                 }
             }
         }
@@ -120,24 +139,44 @@ impl Convolution {
     }
 }
 
-/// The sums of [`TILE`] pixels for [`LANES`] outputs.
-fn tile_sums(rows: [&[f32]; TILE], weights: &[[f32; LANES]], bias: &[f32; LANES]) -> [[f32; LANES]; TILE] {
-    let mut sums = [f32x8::from(*bias); TILE];
-    let [a, b, c, d] = rows;
-    for ((((weights, a), b), c), d) in weights.iter().zip(a).zip(b).zip(c).zip(d) {
-        let weights = f32x8::from(*weights);
-        for (sum, x) in sums.iter_mut().zip([a, b, c, d]) {
-            *sum += f32x8::splat(*x) * weights;
-        }
-    }
-    sums.map(f32x8::to_array)
+/// A layer at work.
+struct Run<'a, T> {
+    of: &'a T,
+    input: &'a [f32],
+    output: &'a mut [f32],
 }
 
-/// [`LANES`] values from a place on.
-fn load(values: &[f32], first: usize) -> f32x8 {
-    let mut lanes = [0.0; LANES];
-    lanes.copy_from_slice(&values[first..first + LANES]);
-    f32x8::from(lanes)
+impl OnLanes for Run<'_, Convolution> {
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) {
+        self.of.run_on(lanes, self.input, self.output);
+    }
+}
+
+/// The sums of [`TILE`] pixels for `N` vectors of a group of outputs, from one on, written to those that there are.
+#[inline(always)]
+fn tile_sums<'a, L: Lanes, const N: usize>(
+    lanes: L,
+    rows: [&[f32]; TILE],
+    (weights, bias): (&[Group], &Group),
+    first: usize,
+    pixels: impl Iterator<Item = &'a mut [f32]>,
+) {
+    let mut sums = [std::array::from_fn::<_, N, _>(|i| lanes.load(bias[first + i])); TILE];
+    let [a, b, c, d] = rows;
+    for ((((weights, a), b), c), d) in weights.iter().zip(a).zip(b).zip(c).zip(d) {
+        let weights: [_; N] = std::array::from_fn(|i| lanes.load(weights[first + i]));
+        for (sums, x) in sums.iter_mut().zip([a, b, c, d]) {
+            let x = lanes.splat(*x);
+            for (sum, weight) in sums.iter_mut().zip(weights) {
+                *sum = lanes.add_product(*sum, x, weight);
+            }
+        }
+    }
+    for (pixel, sums) in pixels.zip(sums) {
+        let sums = sums.map(|sum| lanes.store(sum));
+        pixel.copy_from_slice(&sums.as_flattened()[..pixel.len()]);
+    }
 }
 
 /// A convolution of each channel by itself.
@@ -177,6 +216,11 @@ impl DepthwiseConvolution {
     }
 
     pub(super) fn run(&self, input: &[f32], output: &mut [f32]) {
+        on_widest(Run { of: self, input, output });
+    }
+
+    #[inline(always)]
+    pub(super) fn run_on<L: Lanes>(&self, lanes: L, input: &[f32], output: &mut [f32]) {
         let channels = self.window.input.channels;
         for (place, sums) in output.chunks_exact_mut(channels).enumerate() {
             let (pixels, covered) = self.covered(place);
@@ -184,16 +228,15 @@ impl DepthwiseConvolution {
                 (&input[inputs..][..weights.len()], &self.weights[weights])
             };
             let rows = || covered.clone().map(row);
-            let (lanes, rest) = sums.as_chunks_mut::<LANES>();
+            let (vectors, rest) = sums.as_chunks_mut::<LANES>();
             let whole = channels - rest.len();
-            for (first, sums) in (0..).step_by(LANES).zip(lanes) {
-                let mut sum = load(&self.bias, first);
-                for (inputs, weights) in rows() {
-                    for at in (first..).step_by(channels).take(pixels) {
-                        sum += load(inputs, at) * load(weights, at);
-                    }
-                }
-                *sums = sum.to_array();
+            let (fours, vectors) = vectors.as_chunks_mut::<FOUR>();
+            for (first, sums) in (0..).step_by(FOUR * LANES).zip(fours) {
+                *sums = self.sums(lanes, first, rows(), pixels);
+            }
+            let first = whole - vectors.len() * LANES;
+            for (first, sums) in (first..).step_by(LANES).zip(vectors) {
+                [*sums] = self.sums(lanes, first, rows(), pixels);
             }
             for (first, sum) in (whole..).zip(rest) {
                 *sum = self.bias[first];
@@ -205,6 +248,28 @@ impl DepthwiseConvolution {
             }
         }
         self.activation.apply(output);
+    }
+
+    /// The sums of `N` vectors of channels, from one on, over the rows that the window covers at a place.
+    #[inline(always)]
+    fn sums<'a, L: Lanes, const N: usize>(
+        &self,
+        lanes: L,
+        first: usize,
+        rows: impl Iterator<Item = (&'a [f32], &'a [f32])>,
+        pixels: usize,
+    ) -> [[f32; LANES]; N] {
+        let mut sums = std::array::from_fn(|i| lanes.load(eight(&self.bias, first + i * LANES)));
+        for (inputs, weights) in rows {
+            for at in (first..).step_by(self.bias.len()).take(pixels) {
+                let (inputs, weights) = (&inputs[at..][..N * LANES], &weights[at..][..N * LANES]);
+                for (i, sum) in sums.iter_mut().enumerate() {
+                    let [value, weight] = [inputs, weights].map(|of| lanes.load(eight(of, i * LANES)));
+                    *sum = lanes.add_product(*sum, value, weight);
+                }
+            }
+        }
+        sums.map(|sum| lanes.store(sum))
     }
 
     /// How many pixels of a row the window covers at a place; and of each row that it covers, where its inputs begin and which weights
@@ -220,4 +285,19 @@ impl DepthwiseConvolution {
         });
         (pixels, covered)
     }
+}
+
+impl OnLanes for Run<'_, DepthwiseConvolution> {
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) {
+        self.of.run_on(lanes, self.input, self.output);
+    }
+}
+
+/// [`LANES`] values from a place on.
+#[inline(always)]
+fn eight(values: &[f32], first: usize) -> [f32; LANES] {
+    let mut eight = [0.0; LANES];
+    eight.copy_from_slice(&values[first..first + LANES]);
+    eight
 }

@@ -4,11 +4,12 @@
 //! precision, and images of one size. It neither trains nor quantises. A file that is damaged, too large or asks for more is refused
 //! when it is read; running cannot fail.
 //!
-//! The same input gives the same bits on every machine: no loop depends on what the processor offers, sums are in a fixed order, and
-//! the exponential function is `libm`'s. Start at [`Network::read`].
+//! The same input gives the same bits on every machine: vectors are as wide as the processor has them, but sums are in a fixed order, each
+//! product and each sum is rounded by itself, and the exponential function is `libm`'s. Start at [`Network::read`].
 
 mod convolution;
 mod flatbuffer;
+mod lanes;
 mod operation;
 mod tflite;
 mod window;

@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 
 use super::convolution::{Activation, Convolution, DepthwiseConvolution};
+use super::lanes::Common;
 use super::window::{ImageShape, Padding, Window};
 use super::*;
 
@@ -58,7 +59,7 @@ fn by_definition(
 proptest! {
     #[test]
     fn convolutions_are_what_they_are_defined_as(
-        height in 1usize..9, width in 1usize..9, channels in 1usize..12, outputs in 1usize..20,
+        height in 1usize..9, width in 1usize..9, channels in 1usize..42, outputs in 1usize..42,
         size in 1usize..4, stride in 1usize..3, same: bool, seed: u32,
     ) {
         let shape = ImageShape { height, width, channels };
@@ -76,16 +77,24 @@ proptest! {
             let outputs = if depthwise { channels } else { outputs };
             let weights = numbers(size * size * channels * if depthwise { 1 } else { outputs }, seed ^ 1);
             let bias = numbers(outputs, seed ^ 2);
+            // By the widest vectors of this processor, and by those that each has.
             let mut output = vec![f32::NAN; window.places() * outputs];
-            match depthwise {
-                true => DepthwiseConvolution::new(window, &weights, &bias, Activation::None).unwrap().run(&input, &mut output),
-                false => Convolution::new(window, &weights, &bias, Activation::None).unwrap().run(&input, &mut output),
+            let mut common = output.clone();
+            if depthwise {
+                let layer = DepthwiseConvolution::new(window, &weights, &bias, Activation::None).unwrap();
+                layer.run(&input, &mut output);
+                layer.run_on(Common, &input, &mut common);
+            } else {
+                let layer = Convolution::new(window, &weights, &bias, Activation::None).unwrap();
+                layer.run(&input, &mut output);
+                layer.run_on(Common, &input, &mut common);
             }
+            prop_assert_eq!(&output, &common);
             let geometry = ([size, size], stride, before);
             let expected = by_definition(geometry, shape, window.output, (&weights, &bias), depthwise, &input);
             prop_assert_eq!(output.len(), expected.len());
             for (value, expected) in output.iter().zip(&expected) {
-                // Some 100 roundings of sums below 100.
+                // Some 400 roundings of sums below 100.
                 prop_assert!((f64::from(*value) - expected).abs() < 1e-4, "{} {}", value, expected);
             }
         }

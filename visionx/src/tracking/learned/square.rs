@@ -59,6 +59,15 @@ impl Square {
         let weight = 1.0 / (255.0 * (samples * samples) as f32);
         let along = self.right() * (self.side * step);
         let mut values = vec![0.0; size * size * 3];
+        if self.down == Vector2::y() && samples >= MANY_SAMPLES && outside == Outside::Black {
+            let places = 0..size * samples;
+            let start = |y: usize| self.in_image(0.5 * step, (y as f64 + 0.5) * step);
+            let columns: Vec<_> = places.clone().map(|x| start(0).x + along.x * x as f64).collect();
+            let rows: Vec<_> = places.map(|y| start(y).y).collect();
+            sum_upright(image, [&columns, &rows], samples, &mut values);
+            values.iter_mut().for_each(|value| *value *= weight);
+            return values;
+        }
         for (row, values) in values.chunks_exact_mut(3 * size).enumerate() {
             for part in 0..samples {
                 let y = ((row * samples + part) as f64 + 0.5) * step;
@@ -67,7 +76,7 @@ impl Square {
                     for i in 0..samples {
                         let at = start + along * (column * samples + i) as f64;
                         let color = match samples >= MANY_SAMPLES {
-                            true => pixel(image, (at.x + 0.5).floor(), (at.y + 0.5).floor(), outside),
+                            true => nearest(image, &at, outside),
                             false => blend(image, &at, outside),
                         };
                         value.iter_mut().zip(color).for_each(|(value, color)| *value += color);
@@ -78,6 +87,44 @@ impl Square {
         }
         values
     }
+}
+
+/// The sums of the pixels at these columns and rows, of which `samples` x `samples` each make a pixel of the output; black outside of
+/// the image. All sums are whole numbers, so their order changes no bit.
+fn sum_upright(image: &RgbImage, [columns, rows]: [&[f64]; 2], samples: usize, values: &mut [f32]) {
+    let width = image.width() as usize;
+    let inside = |at: f64, length: u32| {
+        let nearest = at + 0.5;
+        (nearest >= 0.0 && nearest < f64::from(length)).then_some(nearest as usize)
+    };
+    let columns: Vec<_> = columns.iter().map(|x| inside(*x, image.width())).collect();
+    let size = columns.len() / samples;
+    let mut down = vec![0_u16; 3 * width];
+    for (rows, values) in rows.chunks_exact(samples).zip(values.chunks_exact_mut(3 * size)) {
+        down.fill(0);
+        for y in rows.iter().filter_map(|y| inside(*y, image.height())) {
+            let row = &image.data()[3 * width * y..][..3 * width];
+            down.iter_mut().zip(row).for_each(|(sum, value)| *sum += u16::from(*value));
+        }
+        let (pixels, _) = down.as_chunks::<3>();
+        for (columns, value) in columns.chunks_exact(samples).zip(values.as_chunks_mut::<3>().0) {
+            for x in columns.iter().flatten() {
+                value.iter_mut().zip(pixels[*x]).for_each(|(sum, value)| *sum += f32::from(value));
+            }
+        }
+    }
+}
+
+/// The colour of the pixel that is nearest to a point, 0 to 255.
+#[inline]
+fn nearest(image: &RgbImage, at: &Point2<f64>, outside: Outside) -> [f32; 3] {
+    let (x, y) = (at.x + 0.5, at.y + 0.5);
+    let (width, height) = (f64::from(image.width()), f64::from(image.height()));
+    // Without `floor`, for which common processors have no instruction.
+    if x >= 0.0 && y >= 0.0 && x < width && y < height {
+        return image.pixel(x as u32, y as u32).map(f32::from);
+    }
+    if outside == Outside::Black { [0.0; 3] } else { pixel(image, x.floor(), y.floor(), outside) }
 }
 
 /// The colour at a pixel, 0 to 255.
@@ -92,10 +139,23 @@ fn pixel(image: &RgbImage, x: f64, y: f64, outside: Outside) -> [f32; 3] {
 
 /// The colour between four pixels, 0 to 255.
 fn blend(image: &RgbImage, at: &Point2<f64>, outside: Outside) -> [f32; 3] {
-    let (left, top) = (at.x.floor(), at.y.floor());
+    let (right, bottom) = (f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
+    let is_near = at.x >= -1.0 && at.y >= -1.0 && at.x <= right + 1.0 && at.y <= bottom + 1.0;
+    if outside == Outside::Black && !is_near {
+        return [0.0; 3];
+    }
+    let (left, top, [a, b, c, d]);
+    if at.x >= 0.0 && at.y >= 0.0 && at.x < right && at.y < bottom {
+        let (x, y) = (at.x as u32, at.y as u32);
+        (left, top) = (f64::from(x), f64::from(y));
+        let corners = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
+        [a, b, c, d] = corners.map(|(x, y)| image.pixel(x, y).map(f32::from));
+    } else {
+        (left, top) = (at.x.floor(), at.y.floor());
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
+        [a, b, c, d] = corners.map(|(x, y)| pixel(image, left + x, top + y, outside));
+    }
     let (along, down) = ((at.x - left) as f32, (at.y - top) as f32);
-    let [a, b] = [0.0, 1.0].map(|x| pixel(image, left + x, top, outside));
-    let [c, d] = [0.0, 1.0].map(|x| pixel(image, left + x, top + 1.0, outside));
     std::array::from_fn(|i| {
         let (upper, lower) = (a[i] + (b[i] - a[i]) * along, c[i] + (d[i] - c[i]) * along);
         upper + (lower - upper) * down

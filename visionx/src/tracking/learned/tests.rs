@@ -89,3 +89,20 @@ fn a_square_is_sampled_where_it_is() {
     );
     assert_eq!(far.sample(&image, 2, Outside::Black), [0.0; 12]);
 }
+
+#[test]
+fn an_upright_square_is_sampled_like_any_other() {
+    let (image, border) = (ramp(120, 90), 64_u32);
+    let mut black_around = RgbImage::from_rgb(248, 218, vec![0; 248 * 218 * 3]).unwrap();
+    for (x, y) in (0..120).flat_map(|x| (0..90).map(move |y| (x, y))) {
+        let at = 3 * ((y + border) * 248 + x + border) as usize;
+        black_around.data_mut()[at..at + 3].copy_from_slice(&image.pixel(x, y));
+    }
+    for (center, side) in [([60.0, 45.0], 60.0), ([59.5, 44.5], 120.0), ([20.25, 80.5], 100.0)] {
+        let square = Square { center: center.into(), side, down: Vector2::y() };
+        let moved = Square { center: square.center + Vector2::repeat(f64::from(border)), ..square };
+        // Its border is not reached, so this looks at each place by itself.
+        let expected = moved.sample(&black_around, 20, Outside::Nearest);
+        assert_eq!(square.sample(&image, 20, Outside::Black), expected, "{center:?}");
+    }
+}
