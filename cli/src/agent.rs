@@ -12,6 +12,7 @@ use crate::console::{Terminal, refuse};
 use crate::logging;
 use crate::memory::keep::KeepArgs;
 use crate::stopped::{stopped, stopped_or_input_ended};
+use crate::vision::Detector;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct AgentArgs {
@@ -48,6 +49,9 @@ pub(crate) struct AgentArgs {
     /// Seed of all random variation in the world.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
+    /// How people's hands are found.
+    #[arg(long, value_enum, default_value_t = Detector::Skin)]
+    pub(crate) detector: Detector,
     /// The file of long-term memory. What was learned and what others committed is loaded again at the next start;
     /// what was seen can be queried. By default one snapshot a second is kept of what is seen and learned, and all of
     /// the rest.
@@ -85,6 +89,7 @@ fn config(args: &AgentArgs) -> Result<AgentConfig, String> {
     config.run.clone_from(&args.run);
     config.world.clone_from(&args.world);
     config.seed = args.seed;
+    config.hands = args.detector.into();
     config.eyes.clone_from(&args.eyes);
     config.follow.clone_from(&args.follow);
     config.store.clone_from(&args.store);

@@ -15,6 +15,7 @@ use crate::connection_args::{AccessArgs, ConnectionArgs, LiveArgs, explained};
 use crate::console::{JsonLines, Terminal, refuse};
 use crate::logging;
 use crate::stopped::stopped;
+use crate::vision::Detector;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RunArgs {
@@ -30,6 +31,9 @@ pub(crate) struct RunArgs {
     /// Seed of all random variation.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
+    /// How people's hands are found.
+    #[arg(long, value_enum, default_value_t = Detector::Skin)]
+    pub(crate) detector: Detector,
     /// Folder for report.json, report.html and run.mcap. If it holds a report already, or another run writes to it, `DIR-2`,
     /// `DIR-3` ... is used.
     #[arg(long, value_name = "DIR", default_value = "report")]
@@ -158,6 +162,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         world: args.world.clone(),
         robot: args.robot.clone(),
         seed: args.seed,
+        hands: args.detector.into(),
         inputs: args.inputs.clone(),
         profile: args.profile.clone(),
         report: args.report.clone(),

@@ -9,6 +9,7 @@ use serde_json::json;
 
 use crate::console::{refuse, show};
 use crate::run::parse_input;
+use crate::vision::Detector;
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -29,6 +30,9 @@ pub(crate) struct SweepArgs {
     /// Seeds: `1..20` is 1 to 20, `3,5,8` these three.
     #[arg(long, value_name = "SEEDS", default_value = "1..20", value_parser = read_seeds)]
     seeds: Seeds,
+    /// How people's hands are found; if not given, as for `armarium run`.
+    #[arg(long, value_enum)]
+    detector: Option<Detector>,
     /// An input of the chart with one or several values, for instance `arm=left_arm,right_arm`; may be repeated.
     #[arg(long = "set", value_name = "INPUT=VALUE,...", value_parser = parse_input)]
     inputs: Vec<(String, String)>,
@@ -87,6 +91,7 @@ impl SweepArgs {
         };
         option("--world", self.world.as_ref().map(|file| file.display().to_string()));
         option("--robot", self.robot.clone());
+        option("--detector", self.detector.map(Detector::name));
         option("--profile", self.profile.clone());
         option("--for", self.longest.clone());
         let values = |(name, values): &(String, String)| {

@@ -82,7 +82,7 @@ async fn serve_agent(
     memory.share(session, &kept).await?;
     let _followed = follow_all(config, session, &memory);
     let backend = match (simulated, &config.eyes) {
-        (Some((robot, simulation)), _) => Backend::simulated(robot, simulation, &config.skills),
+        (Some((robot, simulation)), _) => Backend::simulated(config, robot, simulation),
         (None, eyes) => {
             let eyes = eyes.as_ref().expect("an agent without a robot has eyes");
             let view = tokio::select! {

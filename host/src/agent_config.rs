@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use armarium_bus::{Access, SessionConfig};
 use armarium_memoryx::{Followee, Policies, Retention};
 use armarium_viewer::live::PageAddress;
+use armarium_visionx::HandDetection;
 
 use crate::address::Address;
 use crate::catalog::SkillFactory;
@@ -25,6 +26,8 @@ pub struct AgentConfig {
     pub world: Option<PathBuf>,
     /// Seed of all random variation in the world.
     pub seed: u64,
+    /// How people's hands are found.
+    pub hands: HandDetection,
     /// Images of another agent, used as the agent's eyes. The agent then has no robot, only skills that move nothing,
     /// and its pose is the one in the world file.
     pub eyes: Option<Address>,
@@ -56,6 +59,7 @@ impl AgentConfig {
             run: None,
             world: None,
             seed: 1,
+            hands: HandDetection::default(),
             eyes: None,
             follow: Vec::new(),
             store: "armarium-agent.redb".into(),

@@ -13,7 +13,7 @@ use armarium_visionx::Workers;
 use armarium_visionx::providers::StereoView;
 
 use crate::agent_config::AgentConfig;
-use crate::catalog::{self, SkillFactory};
+use crate::catalog;
 use crate::console::WorldClock;
 use crate::remote_eyes::RemoteEyes;
 use crate::simulated::StagedRobot;
@@ -31,11 +31,11 @@ pub(crate) struct Backend {
 
 impl Backend {
     /// The simulated robot with its sensors.
-    pub(crate) fn simulated(mut robot: StagedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
+    pub(crate) fn simulated(config: &AgentConfig, mut robot: StagedRobot, simulation: Simulation) -> Self {
         let (handle, ending) = (robot.handle.clone(), EndOnDrop(robot.handle));
-        robot.equipment.workers = Workers::Threads;
+        (robot.equipment.workers, robot.equipment.hands) = (Workers::Threads, config.hands);
         Self {
-            registry: catalog::registry(&robot.equipment, own),
+            registry: catalog::registry(&robot.equipment, &config.skills),
             equipment: robot.equipment,
             clock: Arc::new(move || handle.now_ns()),
             task: Box::pin(async move {
@@ -58,6 +58,7 @@ impl Backend {
             robot: Arc::clone(&eyes.robot),
             images: Arc::clone(&eyes.images),
             workers: Workers::Threads,
+            hands: config.hands,
             memory: Arc::<WorkingMemory>::clone(memory) as Arc<dyn Memory>,
             agent: config.name.clone(),
             seed: config.seed,

@@ -12,7 +12,7 @@ use armarium_runtime::skill::Skill;
 use armarium_simulator::{Options, Simulation, World};
 use armarium_source::Finding;
 use armarium_states::{Equipment, RunningMotions, observers};
-use armarium_visionx::Workers;
+use armarium_visionx::{HandDetection, Workers};
 
 use crate::console::Console;
 use crate::error::HostError;
@@ -56,6 +56,7 @@ fn registry_in(world: &World) -> Result<Registry, HostError> {
         robot: simulation.robot(),
         images: simulation.images(),
         workers: Workers::Joined,
+        hands: HandDetection::default(),
         memory: Arc::new(WorkingMemory::new(tokio_clock())) as Arc<dyn Memory>,
         agent: "local".into(),
         seed: 0,

@@ -126,7 +126,7 @@ impl OtherRobots {
             let robot =
                 robots.get(number).ok_or(HostError::Driven("the world has other robots with charts"))?;
             let mut equipment = equipment_of(robot, spec, memory.memory(), seed);
-            equipment.workers = workers;
+            (equipment.workers, equipment.hands) = (workers, config.hands);
             let text = |value: &Json| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             let config = &RunConfig {
                 chart: folder.join(spec.runs.as_deref().unwrap_or_default()),

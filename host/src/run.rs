@@ -124,7 +124,7 @@ async fn perform(
     began: Instant,
 ) -> Result<RunEnded, HostError> {
     let (mut setup, mover) = RunSetup::prepare(config, &world.world, network, outside, &**console).await?;
-    setup.robot.equipment.workers = workers;
+    (setup.robot.equipment.workers, setup.robot.equipment.hands) = (workers, config.hands);
     let equipment = &setup.robot.equipment;
     let (program, registry) = load(config, equipment, &world.world, network, &**console).await?;
     network.explain_events(&program, &**console);

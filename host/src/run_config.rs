@@ -7,6 +7,7 @@ use armarium_bus::SessionConfig;
 use armarium_runtime::chart;
 use armarium_simulator::World;
 use armarium_viewer::live::PageAddress;
+use armarium_visionx::HandDetection;
 
 use crate::catalog::SkillFactory;
 use crate::driven::RobotAt;
@@ -33,6 +34,8 @@ pub struct RunConfig {
     pub robot: Option<String>,
     /// Seed of all random variation.
     pub seed: u64,
+    /// How people's hands are found.
+    pub hands: HandDetection,
     /// Inputs of the chart as text: `("patience", "30s")`.
     pub inputs: Vec<(String, String)>,
     /// The chart's profile whose defaults are used.
@@ -84,6 +87,7 @@ impl RunConfig {
             world: None,
             robot: None,
             seed: 1,
+            hands: HandDetection::default(),
             inputs: Vec::new(),
             profile: None,
             report: "report".into(),

@@ -14,7 +14,7 @@ use armarium_simulator::{Handle, Options, Referee, RobotInWorld, Simulation, Tru
 use armarium_states::{CorrectedImages, Equipment, RunningMotions};
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Pose};
-use armarium_visionx::{ImageSource, JoinedImages, Workers};
+use armarium_visionx::{HandDetection, ImageSource, JoinedImages, Workers};
 use nalgebra::Isometry3;
 use parking_lot::RwLock;
 
@@ -81,6 +81,7 @@ pub(crate) fn equipment_of(
     let mut equipment = Equipment {
         images: Arc::clone(images),
         workers: Workers::Joined,
+        hands: HandDetection::default(),
         robot: Arc::clone(robot),
         transforms,
         memory: Arc::<WorkingMemory>::clone(memory),

@@ -144,7 +144,7 @@ impl Person {
     ) -> bool {
         let height = self.spec.height;
         if let Some([x, y]) = action.walk {
-            return self.walk(&Vector3::new(x, y, 0.0), from, action.speed, age);
+            return self.walk(&Vector3::new(x, y, 0.0), from, (action.speed, action.turns), age);
         }
         let feet = &from.room_from_feet;
         if !action.lead.is_empty() {
@@ -183,13 +183,13 @@ impl Person {
         age >= stays + back
     }
 
-    /// Turns, walks with hanging arms, and stays turned that way.
-    fn walk(&mut self, to: &Vector3<f64>, from: &Posture, speed: f64, age: f64) -> bool {
+    /// Turns, if at all, walks with hanging arms, and stays turned that way.
+    fn walk(&mut self, to: &Vector3<f64>, from: &Posture, (speed, turns): (f64, bool), age: f64) -> bool {
         let begin = from.room_from_feet.translation.vector;
         let way = to - begin;
         let length = way.norm();
-        let turning = 0.5;
-        let yaw = if length > 1e-6 {
+        let turning = if turns { 0.5 } else { 0.0 };
+        let yaw = if turns && length > 1e-6 {
             libm::atan2(-way.x, way.y)
         } else {
             from.room_from_feet.rotation.euler_angles().2
@@ -259,6 +259,18 @@ mod tests {
         for pair in postures.windows(2) {
             assert!((pair[1].hands[0] - pair[0].hands[0]).norm() < 5e-3);
         }
+    }
+
+    #[test]
+    fn who_steps_back_looks_where_they_looked() {
+        let back = PersonAction { walk: Some([0.2, 1.9]), turns: false, ..PersonAction::default() };
+        let spec = PersonSpec { does: vec![back], yaw_deg: 170.0, ..PersonSpec::default() };
+        let mut person = person(&spec, 1);
+        let begin = Posture::standing(&spec).room_from_feet;
+        let end = (0..4000).map(|i| person.step(f64::from(i) * 1e-3, 1e-3, &[]).room_from_feet).last();
+        let end = end.expect("it stands");
+        assert!((end.translation.vector - Vector3::new(0.2, 1.9, 0.0)).norm() < 1e-9, "{end}");
+        assert!(end.rotation.angle_to(&begin.rotation) < 1e-9, "{end}");
     }
 
     #[test]

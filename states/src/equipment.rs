@@ -9,7 +9,9 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};
-use armarium_visionx::{ColorMarkerObjectTracking, ImageSource, MarkerStep, Sight, StereoStep, Workers};
+use armarium_visionx::{
+    ColorMarkerObjectTracking, HandDetection, ImageSource, MarkerStep, Sight, StereoStep, Workers,
+};
 use futures::future::BoxFuture;
 use nalgebra::Isometry3;
 use parking_lot::RwLock;
@@ -32,6 +34,8 @@ pub struct Equipment {
     pub images: Arc<dyn ImageSource>,
     /// Where what looks at their images works.
     pub workers: Workers,
+    /// How people's hands are found.
+    pub hands: HandDetection,
     /// The agent's memory.
     pub memory: Arc<dyn Memory>,
     /// The agent's name, which is the provider of the entities that its skills write to memory.

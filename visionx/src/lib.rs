@@ -82,4 +82,4 @@ pub use steps::{FingertipStep, HandStep, MarkerStep, ObjectStep, OfStereo, Stere
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
 pub use tabletop_step::{FloorStep, TabletopStep};
 pub use touch::{OwnFinger, OwnHand, SlipStep, TouchStep, TouchedTable};
-pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};
+pub use tracking::hand::{Fingertip, Gesture, HandDetection, HandObservation, HandObserver};

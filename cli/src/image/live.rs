@@ -12,7 +12,7 @@ use armarium_values::Observation;
 use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
-    BodyObserver, ColorMarkerObjectTracking, EnvironmentModel, EnvironmentStep, FingertipStep, HandObserver,
+    BodyObserver, ColorMarkerObjectTracking, EnvironmentModel, EnvironmentStep, FingertipStep, HandDetection,
     HandStep, ImageError, ImageProcessor, MarkerStep, OfStereo, PeopleStep, ProcessorLoop,
     ProcessorStatistics, ResultSink, Seen, SeenBy, TabletopSegmentation, TabletopStep, Trigger, Workers,
     run_processor,
@@ -47,10 +47,10 @@ pub(crate) enum LookFor {
 }
 
 impl LookFor {
-    fn processor(self, pair: StereoPair, color: [u8; 3]) -> Box<dyn ImageProcessor> {
+    fn processor(self, pair: StereoPair, color: [u8; 3], hands: HandDetection) -> Box<dyn ImageProcessor> {
         let calibration = pair.calibration();
         match self {
-            Self::Hand => Box::new(OfStereo::new(HandStep::new(HandObserver::new(calibration)), pair)),
+            Self::Hand => Box::new(OfStereo::new(HandStep::new(hands.observer(calibration)), pair)),
             Self::Fingertips => {
                 let tracking = FingerTipTracking::new(calibration, FingerTipSettings::default());
                 Box::new(OfStereo::new(FingertipStep::new(tracking), pair))
@@ -120,7 +120,7 @@ pub(super) async fn run(
         }
         Some(_) => return Err(argument("--rate is greater than 0")),
     };
-    let processor = args.look.processor(pair, args.color);
+    let processor = args.look.processor(pair, args.color, args.detector.into());
     let remembers = match &args.memory {
         Some(agent) => {
             let memory = Arc::new(RemoteMemory::connect(connection.session(), agent).await.map_err(failed)?);

@@ -20,6 +20,7 @@ use serde_json::json;
 
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::console;
+use crate::vision::Detector;
 
 /// How long to wait for providers to appear.
 const DISCOVERY_TIME: Duration = Duration::from_secs(2);
@@ -166,6 +167,9 @@ pub(crate) struct ProcessArgs {
     /// What to look for.
     #[arg(long, value_enum, default_value_t = live::LookFor::Hand)]
     pub(crate) look: live::LookFor,
+    /// How a hand is found.
+    #[arg(long, value_enum, default_value_t = Detector::Skin)]
+    pub(crate) detector: Detector,
     /// The marker's colour in full light.
     #[arg(long, value_name = "R,G,B", default_value = "40,170,60", value_parser = crate::vision::color)]
     pub(crate) color: [u8; 3],

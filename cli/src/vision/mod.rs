@@ -14,7 +14,9 @@ use std::io::{self, Write};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
+use armarium_visionx::HandDetection;
 use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
+use clap::ValueEnum as _;
 pub(crate) use look::color;
 
 use crate::failure::CommandFailure;
@@ -199,6 +201,22 @@ pub(crate) struct FiguresArgs {
     /// Only the complete tracking, without the table of its parts.
     #[arg(long)]
     pub(crate) whole: bool,
+}
+
+impl Detector {
+    /// Its name on the command line.
+    pub(crate) fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+}
+
+impl From<Detector> for HandDetection {
+    fn from(detector: Detector) -> Self {
+        match detector {
+            Detector::Learned => Self::Learned,
+            Detector::Skin => Self::Skin,
+        }
+    }
 }
 
 impl DetectorArgs {

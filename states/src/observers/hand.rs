@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use armarium_runtime::channels::Channels;
 use armarium_values::{Frame, Observation, Value, Vector};
-use armarium_visionx::{HandObserver, HandStep};
+use armarium_visionx::HandStep;
 use nalgebra::{Isometry3, Vector3};
 
 use super::arrival::Arrival;
@@ -13,7 +13,7 @@ use crate::arm::tcp_of;
 use crate::equipment::Equipment;
 
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
-    let look = || equipment.look(HandStep::new(HandObserver::new(equipment.images.calibration())));
+    let look = || equipment.look(HandStep::new(equipment.hands.observer(equipment.images.calibration())));
     let mut arrival = Arrival::default();
     seen::publish(&equipment, &channels, "hand", look, |frame, seen| {
         let mut value = describe(&equipment, &channels, seen);

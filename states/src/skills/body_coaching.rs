@@ -4,8 +4,8 @@
 //! It sees the person by the channel `person` alone.
 //!
 //! # Source
-//! Petrič et al. 2014, eqs. (18) to (21), [`armarium_motion::nearer_hand`]; differs in: an arm acts only while it is ready: raised,
-//! near, and seen exactly enough.
+//! Petrič et al. 2014, eqs. (18) to (21), [`armarium_motion::nearer_hand`]; differs in: an arm acts only while it is ready, and has been for a
+//! moment: raised, near, and seen exactly enough.
 
 use armarium_motion::{CoachArm, CoachInput, CoachingCommand, nearer_hand};
 use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
@@ -23,8 +23,11 @@ const UNKNOWN: f64 = 0.08;
 /// Time constant with which the direction of an arm is smoothed, s; one that differs by more than 60 degrees is another's.
 const SMOOTHING: f64 = 0.6;
 const OTHER: f64 = 0.5;
+/// An arm acts when it has been ready for this long, s. While it is not, that goes down half as fast, to 0.
+const READY: f64 = 0.4;
+const MOST_READY: f64 = 1.0;
 /// A forearm that points down more steeply than this hangs: the cosine between it and the vertical.
-const HANGS: f64 = 0.8;
+const HANGS: f64 = 0.6;
 
 pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
@@ -53,6 +56,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut coaching = Coaching::begin_in_space(&equipment, &context)?;
     let _both_are_wanted = ["person", "motion"].map(|name| context.channels.demand(name));
     let mut direction: Option<Vector3<f64>> = None;
+    let mut readiness = Readiness::default();
     loop {
         let dt = coaching.next().await?;
         let person = context.channels.newest("person");
@@ -60,6 +64,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let hand =
             context.channels.newest("motion").and_then(|s| s.value.get("position").and_then(as_vector));
         let command = person.zip(hand).and_then(|(person, hand)| command(&person, &hand, (distance, within)));
+        let is_ready = readiness.update(command.is_some(), dt);
+        let command = command.filter(|_| is_ready);
         direction = command.map(|CoachingCommand { d, .. }| match direction {
             Some(before) if before.dot(&d) > OTHER * before.norm() => {
                 before + (d - before) * (1.0 - libm::exp(-dt / SMOOTHING))
@@ -74,6 +80,19 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         if let Some(outcome) = coaching.ended(patience) {
             return Ok(outcome);
         }
+    }
+}
+
+/// For how long an arm has been ready, s.
+#[derive(Default)]
+struct Readiness(f64);
+
+impl Readiness {
+    /// After `dt` s more in which an arm was ready or not: whether one has been for long enough.
+    fn update(&mut self, is_ready: bool, dt: f64) -> bool {
+        let change = if is_ready { dt } else { -dt / 2.0 };
+        self.0 = (self.0 + change).clamp(0.0, MOST_READY);
+        self.0 >= READY
     }
 }
 
@@ -120,6 +139,19 @@ mod tests {
         let rows = vec![variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance];
         let covariances = of_each(&|_| Value::from(rows.clone()));
         Value::record([("keypoints", of_each(&at)), ("covariances", covariances)])
+    }
+
+    #[test]
+    fn an_arm_that_seems_ready_for_a_moment_does_not_act() {
+        let mut readiness = Readiness::default();
+        // A picture in ten shows a hanging arm as ready.
+        assert!((0..10_000).all(|i| !readiness.update(i % 670 < 67, 1e-3)));
+        let mut readiness = Readiness::default();
+        let acts = |readiness: &mut Readiness, shown: bool| {
+            (0..2000).filter(|_| readiness.update(shown, 1e-3)).count()
+        };
+        assert!((1599..=1601).contains(&acts(&mut readiness, true)), "from 0.4 s on");
+        assert!((1199..=1201).contains(&acts(&mut readiness, false)), "and 1.2 s longer");
     }
 
     #[test]

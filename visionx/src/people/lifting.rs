@@ -15,7 +15,7 @@ use crate::mask::{Mask, Region};
 use crate::tracking::BodyLandmarks;
 
 /// A landmark that is less probably visible than this says nothing of where its joint is.
-const LEAST_VISIBLE: f64 = 0.3;
+const LEAST_VISIBLE: f64 = 0.1;
 /// Standard deviations, m: of a landmark across its ray, of the surface's depth, and of the depth that the network tells.
 const ACROSS: f64 = 0.025;
 const SURFACE: f64 = 0.025;

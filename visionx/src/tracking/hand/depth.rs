@@ -61,7 +61,7 @@ impl<'a> Ranging<'a> {
         let (focal, baseline) = (self.calibration.camera.focal, self.calibration.baseline);
         let radius_px = radius * focal / self.z;
         match self.by {
-            By::Depth(depth) => depth_about(depth, self.left.hand, px, radius_px),
+            By::Depth(depth) => depth_about(depth, px, radius_px, |x, y| self.left.hand.contains(x, y)),
             By::Eyes(right) => {
                 let guess = focal * baseline / self.z;
                 // All parts of a hand lie within 0.1 m of its palm in depth.
@@ -73,15 +73,19 @@ impl<'a> Ranging<'a> {
     }
 }
 
-/// The median depth of a hand's pixels within `radius` px, m.
-fn depth_about(depth: &DepthImage, hand: &Mask, center: &Point2<f64>, radius: f64) -> Option<f64> {
+/// The median depth of the pixels within `radius` px that count, m.
+pub(crate) fn depth_about(
+    depth: &DepthImage,
+    center: &Point2<f64>,
+    radius: f64,
+    counts: impl Fn(i64, i64) -> bool,
+) -> Option<f64> {
     if !(radius.is_finite() && center.coords.amax().is_finite()) {
         return None;
     }
     let (cx, cy, r) = (center.x.round() as i64, center.y.round() as i64, radius.clamp(2.0, 60.0) as i64);
     let about = (cy - r..=cy + r).flat_map(|y| (cx - r..=cx + r).map(move |x| (x, y)));
-    let inside =
-        |&(x, y): &(i64, i64)| (x - cx) * (x - cx) + (y - cy) * (y - cy) <= r * r && hand.contains(x, y);
+    let inside = |&(x, y): &(i64, i64)| (x - cx) * (x - cx) + (y - cy) * (y - cy) <= r * r && counts(x, y);
     let depths = about.filter(inside).map(|(x, y)| depth.at(x as u32, y as u32));
     median(depths.filter(|z| *z > 0.0).collect())
 }

@@ -1,19 +1,26 @@
 //! A person's hand in stereo frames: its position, its gesture, its pointing direction.
 //!
-//! [`HandObserver`] combines regions that stand out by depth (`relief`) with colour (`skin`) to a silhouette of a
-//! hand's size at its distance (`candidates`), then finds the palm and stretched fingers (`shape`), the gesture
-//! ([`crate::tracking::GestureRecognizer`]), and points and directions (`depth`). Without a depth image it uses stereo.
-//! It finds one hand at a time and does not know whose. [`GestureOverTime`] follows what the hand shows from frame to frame.
+//! [`HandObserver`] finds one hand at a time and does not know whose, in one of two ways, and joins what each frame says over time:
+//!
+//! - By its silhouette (`silhouette`): regions that stand out by depth (`relief`) and colour (`skin`) are combined to a silhouette of a
+//!   hand's size at its distance (`candidates`), in which the palm and stretched fingers are found (`shape`), the gesture
+//!   ([`crate::tracking::GestureRecognizer`]), and points and directions (`depth`). Without a depth image it uses stereo.
+//! - By the landmarks of trained networks (`by_landmarks`, [`crate::tracking::LearnedHandDetector`]).
+//!
+//! [`GestureOverTime`] follows what the hand shows from frame to frame.
 
 use std::fmt;
 
+mod by_landmarks;
 pub(crate) mod candidates;
 pub(crate) mod depth;
+mod measured;
 mod observer;
 mod paths;
 mod relief;
 pub(crate) mod shape;
 mod shown;
+mod silhouette;
 mod skin;
 
 use nalgebra::{Point2, Point3, Vector3};
@@ -21,7 +28,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::mask::Region;
 
-pub use observer::HandObserver;
+pub use observer::{HandDetection, HandObserver};
 pub use shown::{GestureOverTime, ShownGesture};
 
 /// The gestures used for coaching.

@@ -1,24 +1,58 @@
-//! From frames to a hand: measures the selected hand and smooths over time.
+//! From frames to a hand: what each frame alone says of it (`silhouette`, `by_landmarks`), joined over time.
 
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 
-use super::candidates::{HandCandidate, find};
-use super::depth::Ranging;
-use super::shape::{Finger, HandShape};
-use super::{Fingertip, Gesture, HandObservation};
+use super::by_landmarks::HandsByLandmarks;
+use super::measured::MeasuredHand;
+use super::silhouette::HandSilhouettes;
+use super::{Gesture, HandObservation};
 use crate::camera::StereoCalibration;
-use crate::components::largest;
 use crate::frame::StereoFrame;
-use crate::mask::Region;
-use crate::tracking::{GestureRecognizer, SeenFinger};
+
+/// How hands are found in frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum HandDetection {
+    /// By silhouettes: what stands out by depth or has the colour of skin.
+    #[default]
+    Skin,
+    /// By networks that were trained on photographs of hands.
+    Learned,
+}
+
+impl HandDetection {
+    /// An observer of the frames of these cameras.
+    #[must_use]
+    pub fn observer(self, calibration: StereoCalibration) -> HandObserver {
+        match self {
+            Self::Skin => HandObserver::new(calibration),
+            Self::Learned => HandObserver::learned(calibration),
+        }
+    }
+}
 
 /// Finds a hand and its gesture in a stream of frames.
 #[derive(Clone, Debug)]
 pub struct HandObserver {
     calibration: StereoCalibration,
-    recognizer: GestureRecognizer,
+    by: By,
     memory: Option<LastHand>,
-    near: bool,
+}
+
+/// How a hand is measured in one frame.
+#[derive(Clone, Debug)]
+enum By {
+    Silhouettes(Box<HandSilhouettes>),
+    Landmarks(Box<HandsByLandmarks>),
+}
+
+impl By {
+    /// Forgets what is known from earlier frames.
+    fn forget(&mut self) {
+        match self {
+            Self::Silhouettes(by) => by.forget(),
+            Self::Landmarks(by) => by.forget(),
+        }
+    }
 }
 
 /// The state kept from the last frames.
@@ -27,8 +61,6 @@ struct LastHand {
     stamp_ns: u64,
     /// Probability of each gesture.
     belief: [f64; 4],
-    /// The skin's log-chromaticities.
-    skin: [f32; 2],
     /// The pointing direction in the root frame.
     pointing: Option<Vector3<f64>>,
     /// The palm when the hand was last fully visible.
@@ -76,11 +108,6 @@ struct Palm {
     stands: bool,
 }
 
-/// Distance from the palm's surface to its centre, m.
-const HALF_PALM: f64 = 0.014;
-/// Radius around a place in a finger's end, and around its base, where depth is measured, m.
-const TIP_RADIUS: f64 = 0.012;
-const BASE_RADIUS: f64 = 0.018;
 /// Probability that a gesture continues in the next frame. With [`MIN_LIKELIHOOD`], a change takes two clear frames.
 const P_STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
@@ -101,16 +128,25 @@ const STANDS: f64 = 0.012;
 const FORGET_AFTER_NS: u64 = 400_000_000;
 
 impl HandObserver {
-    /// An observer without earlier frames.
+    /// An observer without earlier frames, by silhouettes: what stands out by depth or has the colour of skin.
     pub fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration, recognizer: GestureRecognizer::at_a_slant(), memory: None, near: false }
+        Self { calibration, by: By::Silhouettes(Box::new(HandSilhouettes::new())), memory: None }
+    }
+
+    /// The same by trained networks, which find hands of any colour before anything.
+    #[must_use]
+    pub fn learned(calibration: StereoCalibration) -> Self {
+        Self { calibration, by: By::Landmarks(Box::default()), memory: None }
     }
 
     /// The same for scenes where the hand may come so near, to about 0.3 m, that it hides much of the rest. The hand
-    /// must then be the nearest object.
+    /// must then be the nearest object. Networks know no such scenes.
     #[must_use]
-    pub fn with_near_hands(self) -> Self {
-        Self { near: true, ..self }
+    pub fn with_near_hands(mut self) -> Self {
+        if let By::Silhouettes(silhouettes) = &mut self.by {
+            silhouettes.near = true;
+        }
+        self
     }
 
     /// Processes a frame; returns the hand in it, `None` when there is none or when the images do not have
@@ -123,62 +159,42 @@ impl HandObserver {
             |m: &LastHand| frame.stamp_ns < m.stamp_ns || frame.stamp_ns - m.stamp_ns > FORGET_AFTER_NS;
         if self.memory.as_ref().is_some_and(forgotten) {
             self.memory = None;
+            self.by.forget();
         }
-        // A depth camera has no depth along the hand's outline.
-        let filled =
-            frame.depth.as_ref().filter(|depth| depth.data.contains(&0.0)).map(|depth| depth.filled());
-        let depth = filled.as_ref().or(frame.depth.as_deref());
-        let skin = self.memory.as_ref().map(|m| m.skin);
-        let hand = find(frame, depth, &self.calibration, skin, self.near)?;
-        self.observe(frame, &hand)
+        let measured = match &mut self.by {
+            By::Silhouettes(by) => by.measure(frame, &self.calibration),
+            By::Landmarks(by) => by.measure(frame, &self.calibration),
+        };
+        self.follow(frame, measured?)
     }
 
-    fn observe(&mut self, frame: &StereoFrame, hand: &HandCandidate) -> Option<HandObservation> {
-        let (shape, calibration) = (&hand.shape, self.calibration);
-        let ranging = Ranging::of(frame, &calibration, hand)?;
-        let surface = ranging.palm(&shape.palm);
-        let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
-        // A hand that extends beyond the image counts as hidden.
-        let bounds = largest(&hand.left).map_or_else(Region::default, |hand| hand.bounds);
-        let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
-        let hidden = if cut { 1.0 } else { hand.hidden };
+    /// Joins what was measured with what is known from the frames before.
+    fn follow(&mut self, frame: &StereoFrame, measured: MeasuredHand) -> Option<HandObservation> {
+        let MeasuredHand { palm: seen_palm, hidden, direction, fingertips, .. } = measured;
         let whole = hidden < HandObservation::HIDDEN;
         let palm = self.palm(frame.root_from_left * seen_palm, whole, frame.stamp_ns);
         let palm_in_left =
             palm.map_or(seen_palm, |p| frame.root_from_left.inverse_transform_point(&p.in_root));
 
-        let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
-        let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
-        let points = whole && (1..=2).contains(&stretched.len());
-        let direction = if points { direction(&ranging, &stretched) } else { None };
         let mut lone = self.memory.as_ref().map_or_else(LoneFinger::default, |memory| memory.lone);
-        if let Some(direction) = direction.filter(|_| stretched.len() == 1) {
+        if let Some((direction, 1)) = direction {
             lone.add(&(frame.root_from_left * direction));
         } else if whole {
             lone.decay();
         }
-        let mut likelihoods = self.likelihoods(shape, &fingers);
+        let mut likelihoods = measured.likelihoods;
         likelihoods[POINT_ONE] *= lone.agreement();
         let belief = self.update_belief(&likelihoods, if whole { 1.0 } else { HIDDEN_COUNTS });
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
-        let direction = direction.filter(|_| {
-            matches!((gesture, stretched.len()), (Gesture::PointOne, 1) | (Gesture::PointTwo, 2))
-        });
-        let fingertips = stretched
-            .iter()
-            .map(|f| Fingertip {
-                px: f.tip,
-                in_left: ranging.point(&f.tip, &inside_tip(f), TIP_RADIUS),
-                score: f.score,
-            })
-            .collect();
+        let fits =
+            |fingers: usize| matches!((gesture, fingers), (Gesture::PointOne, 1) | (Gesture::PointTwo, 2));
+        let direction = direction.filter(|(_, fingers)| fits(*fingers)).map(|(direction, _)| direction);
         let points = matches!(gesture, Gesture::PointOne | Gesture::PointTwo);
         let pointing = self.smooth(direction, points, frame);
         self.memory = Some(LastHand {
             stamp_ns: frame.stamp_ns,
             belief,
-            skin: hand.skin,
             pointing: pointing.map(|p| frame.root_from_left * p),
             palm,
             lone,
@@ -187,12 +203,12 @@ impl HandObserver {
             gesture,
             confidence: belief[best],
             palm_in_left,
-            palm_px: shape.palm,
-            palm_radius_px: shape.palm_radius * calibration.camera.focal / hand.z,
+            palm_px: measured.palm_px,
+            palm_radius_px: measured.palm_radius_px,
             pointing,
             fingertips,
             hidden,
-            bounding_box: bounds,
+            bounding_box: measured.bounds,
         })
     }
 
@@ -206,13 +222,6 @@ impl HandObserver {
         }
         let (patience, reach) = SAME_PLACE;
         before.filter(|p| p.stands && near(p, reach) && stamp_ns.saturating_sub(p.stamp_ns) < patience)
-    }
-
-    /// The likelihood of each gesture in this frame alone, in the order of [`Gesture::ALL`].
-    fn likelihoods(&self, shape: &HandShape, fingers: &[Finger]) -> [f64; 4] {
-        let seen: Vec<SeenFinger> = fingers.iter().map(|f| f.seen(shape.palm_radius)).collect();
-        let by_name = self.recognizer.likelihoods(&seen);
-        Gesture::ALL.map(|g| by_name.get(g.name()).copied().unwrap_or(0.0))
     }
 
     /// The gestures' probabilities after one more frame with the weight `counts` (0 to 1): a hidden Markov
@@ -240,31 +249,6 @@ impl HandObserver {
             (None, before) => before,
         }
     }
-}
-
-/// The mean direction of stretched fingers, unit vector in the left camera's frame.
-fn direction(ranging: &Ranging<'_>, fingers: &[&Finger]) -> Option<Vector3<f64>> {
-    let mut sum = Vector3::zeros();
-    for finger in fingers {
-        let tip = ranging.point(&finger.tip, &inside_tip(finger), TIP_RADIUS)?;
-        let base = ranging.point(&finger.base, &finger.base, BASE_RADIUS)?;
-        sum += (tip - base).try_normalize(1e-6)?;
-    }
-    sum.try_normalize(1e-6)
-}
-
-/// The finger with its true length instead of the length across the line of sight, if the depth image
-/// measures it.
-fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
-    let tip = ranging.measured(&inside_tip(finger), TIP_RADIUS);
-    let base = ranging.measured(&finger.base, BASE_RADIUS);
-    let rise = tip.zip(base).map_or(0.0, |(tip, base)| tip - base);
-    finger.reaching(rise)
-}
-
-/// A point slightly inside of a finger's end, px.
-fn inside_tip(finger: &Finger) -> Point2<f64> {
-    finger.tip + (finger.base - finger.tip) * (0.008 / finger.length.max(0.02))
 }
 
 #[cfg(test)]

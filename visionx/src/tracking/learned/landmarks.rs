@@ -2,10 +2,11 @@
 
 use std::array::from_fn;
 
-use nalgebra::{Point2, Point3, Vector2};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 use super::square::{Outside, Square};
 use crate::frame::RgbImage;
+use crate::mask::Region;
 use crate::network::Network;
 
 /// The network's outputs: places in the square, whether there is a hand, places in metres.
@@ -16,9 +17,8 @@ const INPUT: usize = 224;
 const COUNT: usize = 21;
 /// Least presence of a hand.
 const LEAST_PRESENCE: f32 = 0.5;
-/// The fingers from knuckle to tip: thumb, index, middle, ring and little finger. Landmark 0 is the wrist.
-pub(super) const FINGERS: [[usize; 4]; 5] =
-    [[1, 2, 3, 4], [5, 6, 7, 8], [9, 10, 11, 12], [13, 14, 15, 16], [17, 18, 19, 20]];
+/// How far the skin reaches beyond the landmarks, palm radii: half of a finger's width.
+const FLESH: f64 = 0.22;
 /// The landmarks that hardly move when a hand opens or closes.
 const STEADY: [usize; 12] = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18];
 /// The side of the square for the next image, and how far it lies towards the fingers, relative to the steady landmarks.
@@ -69,6 +69,10 @@ pub(super) fn in_square(network: &mut Network, image: &RgbImage, square: &Square
 }
 
 impl HandLandmarks {
+    /// The fingers from knuckle to tip: thumb, index, middle, ring and little finger.
+    pub(crate) const FINGERS: [[usize; 4]; 5] =
+        [[1, 2, 3, 4], [5, 6, 7, 8], [9, 10, 11, 12], [13, 14, 15, 16], [17, 18, 19, 20]];
+
     /// The square in which the hand is expected in the next image; `None` where the hand has no size.
     pub(super) fn square(&self) -> Option<Square> {
         let [index, middle, ring] = [5, 9, 13].map(|i| self.points[i]);
@@ -100,13 +104,25 @@ impl HandLandmarks {
         (center, (0.55 * across).max(0.42 * along).max(1.0))
     }
 
+    /// The palm's middle about the hand's own centre, m.
+    pub(crate) fn palm_in_hand(&self) -> Point3<f64> {
+        let knuckles = [5, 9, 13, 17].map(|i| self.in_hand[i].coords);
+        let middle = Point3::from(knuckles.iter().sum::<Vector3<f64>>() / 4.0);
+        self.in_hand[0] + (middle - self.in_hand[0]) * PALM
+    }
+
+    /// Bounding box of a hand with this radius of the palm.
+    pub(crate) fn bounds(&self, palm_radius: f64, image: &RgbImage) -> Region {
+        Region::around(self.points.iter().copied(), FLESH * palm_radius, image.width(), image.height())
+    }
+
     /// The end of a finger, px.
-    pub(super) fn fingertip(&self, [_, _, joint, tip]: [usize; 4]) -> Point2<f64> {
+    pub(crate) fn fingertip(&self, [_, _, joint, tip]: [usize; 4]) -> Point2<f64> {
         self.points[tip] + (self.points[tip] - self.points[joint]) * BEYOND
     }
 
     /// The chains of joints from the wrist to the tip of each finger, the thumb first, m.
     pub(super) fn chains(&self) -> [[Point3<f64>; 5]; 5] {
-        FINGERS.map(|finger| from_fn(|i| self.in_hand[if i == 0 { 0 } else { finger[i - 1] }]))
+        Self::FINGERS.map(|finger| from_fn(|i| self.in_hand[if i == 0 { 0 } else { finger[i - 1] }]))
     }
 }

@@ -21,7 +21,6 @@ use nalgebra::{Point2, Vector2};
 use super::detector::{HandDetector, HandInPicture, HandOutline};
 use super::recognizer::{GestureRecognizer, SeenFinger};
 use crate::frame::RgbImage;
-use crate::mask::Region;
 use crate::network::Network;
 use crate::tracking::hand::Fingertip;
 pub use body::{BodyLandmarks, LearnedBodyDetector};
@@ -91,6 +90,11 @@ impl LearnedHandDetector {
         Some(hand)
     }
 
+    /// Forgets where the hand was, so that it is searched for in the next image.
+    pub(crate) fn forget(&mut self) {
+        self.expected = None;
+    }
+
     fn search(&mut self, image: &RgbImage) -> Option<HandLandmarks> {
         // In a sequence the hand may come later; a single image is searched thoroughly.
         let scales = if self.follows { &SCALES[..1] } else { &SCALES[..] };
@@ -114,7 +118,7 @@ impl HandDetector for LearnedHandDetector {
         let fingers: Vec<(SeenFinger, Point2<f64>)> = bends
             .stretched()
             .into_iter()
-            .zip(landmarks::FINGERS)
+            .zip(HandLandmarks::FINGERS)
             .map(|(score, finger)| {
                 let tip = hand.fingertip(finger);
                 let along: Vector2<f64> = tip - hand.points[finger[0]];
@@ -140,7 +144,7 @@ impl HandDetector for LearnedHandDetector {
             },
         };
         Some(HandInPicture {
-            bounding_box: bounds(&hand, palm_radius, image),
+            bounding_box: hand.bounds(palm_radius, image),
             palm,
             palm_radius,
             fingertips,
@@ -150,13 +154,6 @@ impl HandDetector for LearnedHandDetector {
             outline: HandOutline::Landmarks(Box::new(hand)),
         })
     }
-}
-
-/// How far the skin reaches beyond the landmarks, palm radii: half of a finger's width.
-const FLESH: f64 = 0.22;
-
-fn bounds(hand: &HandLandmarks, palm_radius: f64, image: &RgbImage) -> Region {
-    Region::around(hand.points.iter().copied(), FLESH * palm_radius, image.width(), image.height())
 }
 
 #[cfg(test)]

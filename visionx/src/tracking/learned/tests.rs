@@ -7,7 +7,7 @@ use crate::Gesture;
 /// A hand whose fingers (thumb first) are bent by these angles at each of their three joints, degrees.
 fn bent(angles: [f64; 5]) -> HandLandmarks {
     let mut in_hand = [Point3::origin(); 21];
-    for (finger, angle) in landmarks::FINGERS.iter().zip(angles) {
+    for (finger, angle) in HandLandmarks::FINGERS.iter().zip(angles) {
         let side = (finger[0] as f64 - 9.0) * 0.004;
         let mut along = Vector3::new(side, -0.09, 0.0).normalize();
         in_hand[finger[0]] = Point3::from(along * 0.09);

@@ -1,0 +1,145 @@
+//! A hand by the landmarks of trained networks: where it is in space, by depth or by both eyes, and which fingers are stretched.
+//!
+//! The networks tell where the joints are relative to each other, for a hand of usual size. How far away the hand is, is the median over
+//! all landmarks of what is measured there, so a few that something hides, or that lie beside a thin finger, do not matter.
+
+use nalgebra::{Point2, Point3, Vector3};
+
+use super::candidates::median;
+use super::depth::depth_about;
+use super::measured::MeasuredHand;
+use super::{Fingertip, HandObservation};
+use crate::camera::StereoCalibration;
+use crate::frame::StereoFrame;
+use crate::tracking::{FingerBends, HandLandmarks, LearnedHandDetector};
+
+/// Radius around a landmark in which its depth is measured, relative to the palm's.
+const ABOUT: f64 = 0.12;
+/// What is measured farther than this from where a landmark is told to be is something else, m; what is nearer by more than this hides it.
+const ELSEWHERE: f64 = 0.05;
+/// Fewer landmarks tell nothing of how far away the hand is.
+const FEWEST: usize = 8;
+
+/// Measures hands by their landmarks.
+#[derive(Clone, Debug)]
+pub(crate) struct HandsByLandmarks {
+    left: LearnedHandDetector,
+    /// Only where there is no depth.
+    right: LearnedHandDetector,
+}
+
+impl Default for HandsByLandmarks {
+    fn default() -> Self {
+        let detector = LearnedHandDetector::of_sequence();
+        Self { left: detector.clone(), right: detector }
+    }
+}
+
+/// A hand in a frame.
+struct Hand<'a> {
+    landmarks: &'a HandLandmarks,
+    calibration: &'a StereoCalibration,
+    /// The depth of what is seen at each landmark, m, if it was measured.
+    depths: Vec<Option<f64>>,
+    /// The depth of the landmarks' own origin, m.
+    origin: f64,
+}
+
+impl HandsByLandmarks {
+    /// Forgets where the hand was.
+    pub(crate) fn forget(&mut self) {
+        self.left.forget();
+        self.right.forget();
+    }
+
+    pub(crate) fn measure(
+        &mut self,
+        frame: &StereoFrame,
+        calibration: &StereoCalibration,
+    ) -> Option<MeasuredHand> {
+        let landmarks = self.left.landmarks(&frame.left)?;
+        let depths: Vec<Option<f64>> = match frame.depth.as_deref() {
+            Some(depth) => {
+                let radius = ABOUT * landmarks.palm().1;
+                let is_inside = |at: i64, size: u32| (0..i64::from(size)).contains(&at);
+                let counts = |x, y| is_inside(x, depth.width) && is_inside(y, depth.height);
+                landmarks.points.iter().map(|px| depth_about(depth, px, radius, counts)).collect()
+            }
+            None => {
+                let right = self.right.landmarks(&frame.right)?;
+                let both = landmarks.points.iter().zip(&right.points);
+                both.map(|(left, right)| Some(calibration.triangulate(left, right)?.z)).collect()
+            }
+        };
+        let offsets = depths.iter().zip(&landmarks.in_hand);
+        let offsets: Vec<f64> = offsets.filter_map(|(z, told)| Some((*z)? - told.z)).collect();
+        if offsets.len() < FEWEST {
+            return None;
+        }
+        let origin = median(offsets.iter().map(|z| *z as f32).collect())?;
+        Hand { landmarks: &landmarks, calibration, depths, origin }.measured(frame)
+    }
+}
+
+impl Hand<'_> {
+    fn measured(&self, frame: &StereoFrame) -> Option<MeasuredHand> {
+        let (palm_px, palm_radius_px) = self.landmarks.palm();
+        let bends = FingerBends::of(self.landmarks);
+        let bounds = self.landmarks.bounds(palm_radius_px, &frame.left);
+        let cut = bounds.touches_border(frame.left.width(), frame.left.height());
+        let hidden = if cut { 1.0 } else { self.hidden(frame) };
+        let fingers = HandLandmarks::FINGERS.into_iter().zip(bends.stretched());
+        let stretched: Vec<([usize; 4], f64)> = fingers.filter(|(_, score)| *score > 0.5).collect();
+        // A thumb beside a pointing finger does not point.
+        let thumb = HandLandmarks::FINGERS[0];
+        let pointing: Vec<[usize; 4]> =
+            stretched.iter().map(|(finger, _)| *finger).filter(|finger| *finger != thumb).collect();
+        let points = hidden < HandObservation::HIDDEN && (1..=2).contains(&pointing.len());
+        let fingertip = |(finger, score): &([usize; 4], f64)| {
+            let px = self.landmarks.fingertip(*finger);
+            let z = self.depth(finger[3]);
+            Fingertip { px, in_left: Some(self.at(&px, z)), score: *score }
+        };
+        let palm = self.landmarks.palm_in_hand().z + self.origin;
+        Some(MeasuredHand {
+            palm: MeasuredHand::under(self.at(&palm_px, palm))?,
+            palm_px,
+            palm_radius_px,
+            hidden,
+            likelihoods: bends.likelihoods(),
+            fingertips: stretched.iter().map(fingertip).collect(),
+            direction: self.direction(&pointing).filter(|_| points).map(|d| (d, pointing.len())),
+            bounds,
+        })
+    }
+
+    /// The share of the landmarks that something nearer hides; 0 without a depth image.
+    fn hidden(&self, frame: &StereoFrame) -> f64 {
+        if frame.depth.is_none() {
+            return 0.0;
+        }
+        let told = self.landmarks.in_hand.iter().map(|at| at.z + self.origin);
+        let hidden = self.depths.iter().zip(told).filter(|(z, told)| z.is_some_and(|z| z < told - ELSEWHERE));
+        hidden.count() as f64 / self.depths.len() as f64
+    }
+
+    /// The depth of a landmark: as measured, unless that is of something else.
+    fn depth(&self, landmark: usize) -> f64 {
+        let told = self.landmarks.in_hand[landmark].z + self.origin;
+        self.depths[landmark].filter(|z| (z - told).abs() < ELSEWHERE).unwrap_or(told)
+    }
+
+    fn at(&self, px: &Point2<f64>, z: f64) -> Point3<f64> {
+        Point3::from(self.calibration.camera.ray(px) * z)
+    }
+
+    /// The mean direction of fingers from knuckle to tip.
+    fn direction(&self, fingers: &[[usize; 4]]) -> Option<Vector3<f64>> {
+        let mut sum = Vector3::zeros();
+        for [knuckle, .., tip] in fingers {
+            let [base, end] = [*knuckle, *tip].map(|i| self.at(&self.landmarks.points[i], self.depth(i)));
+            sum += (end - base).try_normalize(1e-6)?;
+        }
+        sum.try_normalize(1e-6)
+    }
+}
