@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use armarium_robot::{DifferentialIk, IkConfig, Model, Twist};
-use armarium_visionx::{Gesture, HandObserver, StereoCalibration};
+use armarium_visionx::{Gesture, HandDetection};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -97,7 +97,7 @@ fn world(table: [u8; 3]) -> World {
 }
 
 /// Observes the coach while a hand comes and stays, and for a moment after each has gone.
-fn watch(world: &World, seed: u64, observer: fn(StereoCalibration) -> HandObserver) -> Score {
+fn watch(world: &World, seed: u64, hands: HandDetection) -> Score {
     let robots = crate::start::robots(world, seed, None).unwrap();
     let model = Arc::clone(&robots[0].model);
     let table = TableTop::new(&world.table);
@@ -109,7 +109,7 @@ fn watch(world: &World, seed: u64, observer: fn(StereoCalibration) -> HandObserv
     let rng = ChaCha8Rng::seed_from_u64(seed);
     let mut coach = Coach::new(&world.coach, world.table.height, (camera, 1.0), rng);
     let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
-    let mut observer = observer(eyes.rig.source.calibration());
+    let mut observer = hands.observer(eyes.rig.source.calibration());
     let dirt = DirtGrid::new(&table);
     let (mut score, mut hand_gone_at, mut before) = (Score::default(), 0.0, wiper.tcp());
     coach.hear("wiping", 0.0);
@@ -163,7 +163,7 @@ fn gestures_are_seen_over_tables_of_any_colour() {
     for (color, seed) in
         [SKIN, [120, 84, 60], [222, 190, 150], [150, 70, 60], [128, 128, 130]].into_iter().zip(1..)
     {
-        let score = watch(&world(color), seed, HandObserver::new);
+        let score = watch(&world(color), seed, HandDetection::Skin);
         let frames: usize = score.confusion.values().sum();
         assert!(frames > 40, "{color:?}: {score:?}");
         assert!(score.accuracy() >= 0.95, "{color:?}: {} {score:?}", score.accuracy());
@@ -180,7 +180,7 @@ fn networks_see_the_gestures_over_tables_of_another_colour() {
         for has_depth in [true, false] {
             let mut world = world(color);
             world.camera.depth = world.camera.depth.filter(|_| has_depth);
-            let score = watch(&world, seed, HandObserver::learned);
+            let score = watch(&world, seed, HandDetection::Learned);
             let frames: usize = score.confusion.values().sum();
             assert!(frames > 40, "{color:?}: {score:?}");
             assert!(score.accuracy() >= 0.95, "{color:?}: {} {score:?}", score.accuracy());

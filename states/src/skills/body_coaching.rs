@@ -23,8 +23,9 @@ const UNKNOWN: f64 = 0.08;
 /// Time constant with which the direction of an arm is smoothed, s; one that differs by more than 60 degrees is another's.
 const SMOOTHING: f64 = 0.6;
 const OTHER: f64 = 0.5;
-/// An arm acts when it has been ready for this long, s. While it is not, that goes down half as fast, to 0.
+/// An arm acts when it has been ready for this long, s.
 const READY: f64 = 0.4;
+/// More is not counted, s; while it is not ready, what was counted goes down half as fast.
 const MOST_READY: f64 = 1.0;
 /// A forearm that points down more steeply than this hangs: the cosine between it and the vertical.
 const HANGS: f64 = 0.6;

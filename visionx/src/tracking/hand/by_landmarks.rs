@@ -40,7 +40,7 @@ struct Hand<'a> {
     landmarks: &'a HandLandmarks,
     calibration: &'a StereoCalibration,
     /// The depth of what is seen at each landmark, m, if it was measured.
-    depths: Vec<Option<f64>>,
+    depths: [Option<f64>; HandLandmarks::COUNT],
     /// The depth of the landmarks' own origin, m.
     origin: f64,
 }
@@ -58,25 +58,25 @@ impl HandsByLandmarks {
         calibration: &StereoCalibration,
     ) -> Option<MeasuredHand> {
         let landmarks = self.left.landmarks(&frame.left)?;
-        let depths: Vec<Option<f64>> = match frame.depth.as_deref() {
+        let depths = match frame.depth.as_deref() {
             Some(depth) => {
                 let radius = ABOUT * landmarks.palm().1;
                 let is_inside = |at: i64, size: u32| (0..i64::from(size)).contains(&at);
                 let counts = |x, y| is_inside(x, depth.width) && is_inside(y, depth.height);
-                landmarks.points.iter().map(|px| depth_about(depth, px, radius, counts)).collect()
+                landmarks.points.map(|px| depth_about(depth, &px, radius, counts))
             }
             None => {
                 let right = self.right.landmarks(&frame.right)?;
-                let both = landmarks.points.iter().zip(&right.points);
-                both.map(|(left, right)| Some(calibration.triangulate(left, right)?.z)).collect()
+                let [left, right] = [landmarks.points, right.points];
+                std::array::from_fn(|i| Some(calibration.triangulate(&left[i], &right[i])?.z))
             }
         };
         let offsets = depths.iter().zip(&landmarks.in_hand);
-        let offsets: Vec<f64> = offsets.filter_map(|(z, told)| Some((*z)? - told.z)).collect();
+        let offsets: Vec<f32> = offsets.filter_map(|(z, told)| Some(((*z)? - told.z) as f32)).collect();
         if offsets.len() < FEWEST {
             return None;
         }
-        let origin = median(offsets.iter().map(|z| *z as f32).collect())?;
+        let origin = median(offsets)?;
         Hand { landmarks: &landmarks, calibration, depths, origin }.measured(frame)
     }
 }

@@ -25,7 +25,7 @@ impl HandDetection {
     pub fn observer(self, calibration: StereoCalibration) -> HandObserver {
         match self {
             Self::Skin => HandObserver::new(calibration),
-            Self::Learned => HandObserver::learned(calibration),
+            Self::Learned => HandObserver { calibration, by: By::Landmarks(Box::default()), memory: None },
         }
     }
 }
@@ -131,12 +131,6 @@ impl HandObserver {
     /// An observer without earlier frames, by silhouettes: what stands out by depth or has the colour of skin.
     pub fn new(calibration: StereoCalibration) -> Self {
         Self { calibration, by: By::Silhouettes(Box::new(HandSilhouettes::new())), memory: None }
-    }
-
-    /// The same by trained networks, which find hands of any colour before anything.
-    #[must_use]
-    pub fn learned(calibration: StereoCalibration) -> Self {
-        Self { calibration, by: By::Landmarks(Box::default()), memory: None }
     }
 
     /// The same for scenes where the hand may come so near, to about 0.3 m, that it hides much of the rest. The hand

@@ -13,8 +13,6 @@ use crate::network::Network;
 pub(super) const OUTPUTS: [&str; 3] = ["Identity", "Identity_1", "Identity_3"];
 /// Width of the network's input, px.
 const INPUT: usize = 224;
-/// Number of landmarks.
-const COUNT: usize = 21;
 /// Least presence of a hand.
 const LEAST_PRESENCE: f32 = 0.5;
 /// How far the skin reaches beyond the landmarks, palm radii: half of a finger's width.
@@ -36,9 +34,9 @@ const PALM: f64 = 0.6;
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandLandmarks {
     /// In the image, px.
-    pub points: [Point2<f64>; COUNT],
+    pub points: [Point2<f64>; Self::COUNT],
     /// About the hand's own centre, m, for a hand of usual size: x to the right of the image, y downwards, z away from the camera.
-    pub in_hand: [Point3<f64>; COUNT],
+    pub in_hand: [Point3<f64>; Self::COUNT],
     /// Probability that this is a hand, 0.5 to 1.
     pub presence: f64,
 }
@@ -52,9 +50,9 @@ pub(super) fn in_square(network: &mut Network, image: &RgbImage, square: &Square
     let triple = |values: &[f32], i: usize| -> Option<[f64; 3]> {
         values.get(3 * i..3 * i + 3)?.try_into().ok().map(|v: [f32; 3]| v.map(f64::from))
     };
-    let mut points = [Point2::origin(); COUNT];
-    let mut in_hand = [Point3::origin(); COUNT];
-    for i in 0..COUNT {
+    let mut points = [Point2::origin(); HandLandmarks::COUNT];
+    let mut in_hand = [Point3::origin(); HandLandmarks::COUNT];
+    for i in 0..HandLandmarks::COUNT {
         let ([x, y, _], [u, v, depth]) = (triple(places, i)?, triple(metres, i)?);
         points[i] = square.in_image(x / INPUT as f64, y / INPUT as f64);
         let across: Vector2<f64> = square.right() * u + square.down * v;
@@ -69,6 +67,8 @@ pub(super) fn in_square(network: &mut Network, image: &RgbImage, square: &Square
 }
 
 impl HandLandmarks {
+    /// Number of landmarks.
+    pub(crate) const COUNT: usize = 21;
     /// The fingers from knuckle to tip: thumb, index, middle, ring and little finger.
     pub(crate) const FINGERS: [[usize; 4]; 5] =
         [[1, 2, 3, 4], [5, 6, 7, 8], [9, 10, 11, 12], [13, 14, 15, 16], [17, 18, 19, 20]];

@@ -76,7 +76,7 @@ impl Square {
                     for i in 0..samples {
                         let at = start + along * (column * samples + i) as f64;
                         let color = match samples >= MANY_SAMPLES {
-                            true => nearest(image, &at, outside),
+                            true => pixel(image, floor(at.x + 0.5), floor(at.y + 0.5), outside),
                             false => blend(image, &at, outside),
                         };
                         value.iter_mut().zip(color).for_each(|(value, color)| *value += color);
@@ -94,8 +94,8 @@ impl Square {
 fn sum_upright(image: &RgbImage, [columns, rows]: [&[f64]; 2], samples: usize, values: &mut [f32]) {
     let width = image.width() as usize;
     let inside = |at: f64, length: u32| {
-        let nearest = at + 0.5;
-        (nearest >= 0.0 && nearest < f64::from(length)).then_some(nearest as usize)
+        let nearest = floor(at + 0.5);
+        (0..i64::from(length)).contains(&nearest).then_some(nearest as usize)
     };
     let columns: Vec<_> = columns.iter().map(|x| inside(*x, image.width())).collect();
     let size = columns.len() / samples;
@@ -115,47 +115,29 @@ fn sum_upright(image: &RgbImage, [columns, rows]: [&[f64]; 2], samples: usize, v
     }
 }
 
-/// The colour of the pixel that is nearest to a point, 0 to 255.
-#[inline]
-fn nearest(image: &RgbImage, at: &Point2<f64>, outside: Outside) -> [f32; 3] {
-    let (x, y) = (at.x + 0.5, at.y + 0.5);
-    let (width, height) = (f64::from(image.width()), f64::from(image.height()));
-    // Without `floor`, for which common processors have no instruction.
-    if x >= 0.0 && y >= 0.0 && x < width && y < height {
-        return image.pixel(x as u32, y as u32).map(f32::from);
-    }
-    if outside == Outside::Black { [0.0; 3] } else { pixel(image, x.floor(), y.floor(), outside) }
+/// The largest whole number that is not above a value. Common processors have no instruction for `f64::floor`, which is a call then.
+fn floor(value: f64) -> i64 {
+    let whole = value as i64;
+    whole.saturating_sub(i64::from(whole as f64 > value))
 }
 
 /// The colour at a pixel, 0 to 255.
-fn pixel(image: &RgbImage, x: f64, y: f64, outside: Outside) -> [f32; 3] {
-    let (right, bottom) = (f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
-    let inside = x >= 0.0 && y >= 0.0 && x <= right && y <= bottom;
-    if !inside && (outside == Outside::Black || right < 0.0 || bottom < 0.0) {
+fn pixel(image: &RgbImage, x: i64, y: i64, outside: Outside) -> [f32; 3] {
+    let (right, bottom) = (i64::from(image.width()) - 1, i64::from(image.height()) - 1);
+    let inside = x >= 0 && y >= 0 && x <= right && y <= bottom;
+    if !inside && (outside == Outside::Black || right < 0 || bottom < 0) {
         return [0.0; 3];
     }
-    image.pixel(x.clamp(0.0, right) as u32, y.clamp(0.0, bottom) as u32).map(f32::from)
+    image.pixel(x.clamp(0, right) as u32, y.clamp(0, bottom) as u32).map(f32::from)
 }
 
 /// The colour between four pixels, 0 to 255.
 fn blend(image: &RgbImage, at: &Point2<f64>, outside: Outside) -> [f32; 3] {
-    let (right, bottom) = (f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
-    let is_near = at.x >= -1.0 && at.y >= -1.0 && at.x <= right + 1.0 && at.y <= bottom + 1.0;
-    if outside == Outside::Black && !is_near {
-        return [0.0; 3];
-    }
-    let (left, top, [a, b, c, d]);
-    if at.x >= 0.0 && at.y >= 0.0 && at.x < right && at.y < bottom {
-        let (x, y) = (at.x as u32, at.y as u32);
-        (left, top) = (f64::from(x), f64::from(y));
-        let corners = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
-        [a, b, c, d] = corners.map(|(x, y)| image.pixel(x, y).map(f32::from));
-    } else {
-        (left, top) = (at.x.floor(), at.y.floor());
-        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)];
-        [a, b, c, d] = corners.map(|(x, y)| pixel(image, left + x, top + y, outside));
-    }
-    let (along, down) = ((at.x - left) as f32, (at.y - top) as f32);
+    let (left, top) = (floor(at.x), floor(at.y));
+    let (right, below) = (left.saturating_add(1), top.saturating_add(1));
+    let [a, b] = [left, right].map(|x| pixel(image, x, top, outside));
+    let [c, d] = [left, right].map(|x| pixel(image, x, below, outside));
+    let (along, down) = ((at.x - left as f64) as f32, (at.y - top as f64) as f32);
     std::array::from_fn(|i| {
         let (upper, lower) = (a[i] + (b[i] - a[i]) * along, c[i] + (d[i] - c[i]) * along);
         upper + (lower - upper) * down
