@@ -144,7 +144,7 @@ impl Person {
     ) -> bool {
         let height = self.spec.height;
         if let Some([x, y]) = action.walk {
-            return self.walk(&Vector3::new(x, y, 0.0), from, (action.speed, action.turns), age);
+            return self.walk(&Vector3::new(x, y, 0.0), from, (action.speed, action.keeps_facing), age);
         }
         let feet = &from.room_from_feet;
         if !action.lead.is_empty() {
@@ -183,13 +183,19 @@ impl Person {
         age >= stays + back
     }
 
-    /// Turns, if at all, walks with hanging arms, and stays turned that way.
-    fn walk(&mut self, to: &Vector3<f64>, from: &Posture, (speed, turns): (f64, bool), age: f64) -> bool {
+    /// Turns, unless the person keeps facing where they face, walks with hanging arms, and stays turned that way.
+    fn walk(
+        &mut self,
+        to: &Vector3<f64>,
+        from: &Posture,
+        (speed, keeps_facing): (f64, bool),
+        age: f64,
+    ) -> bool {
         let begin = from.room_from_feet.translation.vector;
         let way = to - begin;
         let length = way.norm();
-        let turning = if turns { 0.5 } else { 0.0 };
-        let yaw = if turns && length > 1e-6 {
+        let turning = if keeps_facing { 0.0 } else { 0.5 };
+        let yaw = if !keeps_facing && length > 1e-6 {
             libm::atan2(-way.x, way.y)
         } else {
             from.room_from_feet.rotation.euler_angles().2
@@ -263,7 +269,7 @@ mod tests {
 
     #[test]
     fn who_steps_back_looks_where_they_looked() {
-        let back = PersonAction { walk: Some([0.2, 1.9]), turns: false, ..PersonAction::default() };
+        let back = PersonAction { walk: Some([0.2, 1.9]), keeps_facing: true, ..PersonAction::default() };
         let spec = PersonSpec { does: vec![back], yaw_deg: 170.0, ..PersonSpec::default() };
         let mut person = person(&spec, 1);
         let begin = Posture::standing(&spec).room_from_feet;

@@ -65,8 +65,8 @@ form! {
         /// Where the person walks to, m.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub walk: Option<[f64; 2]> = None, within(5.0);
-        /// Whether the person looks where they walk to; who does not steps back or aside.
-        pub turns: bool = true;
+        /// Whether the person walks without turning: steps back or aside.
+        pub keeps_facing: bool = false;
         /// What the hand reaches for, m; as far as the arm goes.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub reach: Option<[f64; 3]> = None, within(5.0);
@@ -146,9 +146,14 @@ impl PersonAction {
             let message = "a person does one thing at a time: `walk`, `reach`, `wave` or `lead`";
             findings.error_help(code::VALUE, node.span, message, Some("write one entry for each".into()));
         }
-        if !self.turns && self.walk.is_none() {
-            let message = "only who walks turns or does not";
-            findings.error_help(code::VALUE, node.place("turns"), message, Some("leave it out".into()));
+        if self.keeps_facing && self.walk.is_none() {
+            let message = "`keeps_facing` is for a person who walks";
+            findings.error_help(
+                code::VALUE,
+                node.place("keeps_facing"),
+                message,
+                Some("leave it out".into()),
+            );
         }
         let turns = self.turn_deg != [0.0; 3];
         if turns && (self.lead.is_empty() || self.times > 1) {
