@@ -1,14 +1,18 @@
 //! Hands in photographs: three real ones, and rendered ones with the textures, shadows, blur, noise and compression of
-//! real ones; see `docs/vision.md`. Also images without a hand, and images with hardly any content.
+//! real ones; see `docs/vision.md`. Also images without a hand, and images with hardly any content. And people in three photographs.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use armarium_visionx::files::read_image;
 use armarium_visionx::tracking::{
-    HandDetector, HandInPicture, HandOutline, LearnedHandDetector, SkinHandDetector,
+    HandDetector, HandInPicture, HandOutline, LearnedBodyDetector, LearnedHandDetector, SkinHandDetector,
 };
-use armarium_visionx::{Gesture, RgbImage};
-use nalgebra::Point2;
+use armarium_visionx::{
+    BodyJoint, BodyObserver, DepthImage, Gesture, PinholeCamera, RgbImage, SharedImage, StereoCalibration,
+    StereoFrame,
+};
+use nalgebra::{Isometry3, Point2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -189,5 +193,78 @@ fn what_is_hardly_a_picture_has_no_hand_and_ends_nothing() {
         for image in [black, white, noise] {
             assert!(by_skin(&image).is_none() && learned(&image).is_none(), "{w} x {h}");
         }
+    }
+}
+
+/// Photographs of people and where their joints are, as a person who looked at them would say; `photographs/README.md` says where they are
+/// from. The landmarks: 0 nose, 11 and 12 shoulders, 13 and 14 elbows, 15 and 16 wrists, of which the even ones are right.
+type Person = (&'static str, &'static [(usize, [f64; 2])]);
+const PEOPLE: [Person; 3] = [
+    ("person_astronaut.jpg", &[(0, [222.0, 122.0]), (12, [85.0, 258.0]), (11, [318.0, 258.0])]),
+    ("person_officer.jpg", &[(0, [268.0, 218.0]), (12, [88.0, 408.0]), (11, [448.0, 408.0])]),
+    (
+        "person_cameraman.jpg",
+        &[
+            (0, [250.0, 163.0]),
+            (12, [90.0, 183.0]),
+            (14, [78.0, 300.0]),
+            (13, [247.0, 300.0]),
+            (16, [178.0, 247.0]),
+            (15, [280.0, 237.0]),
+        ],
+    ),
+];
+
+/// The images are 512 px wide; a pixel is 1 to 2 mm at the person.
+#[test]
+fn people_in_photographs_are_seen_with_right_and_left() {
+    let mut errors_px = Vec::new();
+    for (file, joints) in PEOPLE {
+        let body = LearnedBodyDetector::default().find(&real(file)).expect(file);
+        for (joint, [x, y]) in joints {
+            let error = (body.points[*joint] - Point2::new(*x, *y)).norm();
+            println!("{file}, {joint}: {error:.0} px, seen with {:.2}", body.visible[*joint]);
+            assert!(error < 70.0, "{file}, {joint}: {error} px");
+            errors_px.push(error);
+        }
+        assert!(learned(&real(file)).is_none(), "{file}: their hands are in gloves or not in the picture");
+    }
+    errors_px.sort_by(f64::total_cmp);
+    assert!(errors_px[errors_px.len() / 2] < 35.0, "{errors_px:?}");
+}
+
+/// The shoulders' distance, m, of who is seen in ten frames of a photograph that stands at this distance before a camera with depth.
+fn shoulders(file: &str, distance: f64) -> Option<f64> {
+    let image = SharedImage::from(real(file));
+    let (width, height) = (image.width(), image.height());
+    let center = [width, height].map(|side| f64::from(side) / 2.0);
+    let camera = PinholeCamera { focal: 525.0, center, width, height };
+    let calibration = StereoCalibration { camera, baseline: 0.06 };
+    let depth = DepthImage { width, height, data: vec![distance as f32; (width * height) as usize] };
+    let mut observer = BodyObserver::new(calibration);
+    let frame = |i: u64| StereoFrame {
+        stamp_ns: i * 66_000_000,
+        left: image.clone(),
+        right: image.clone(),
+        depth: Some(Arc::new(depth.clone())),
+        root_from_left: Isometry3::identity(),
+    };
+    let body = (0..10).filter_map(|i| observer.update(&frame(i), &[])).last()?;
+    let shoulder = |joint| body.joint(joint).map(|seen| seen.at);
+    Some((shoulder(BodyJoint::RightShoulder)? - shoulder(BodyJoint::LeftShoulder)?).norm())
+}
+
+/// The networks take a hand alone for a person, too. How large it is in space tells it from one.
+#[test]
+fn people_in_photographs_are_told_from_hands_by_their_size() {
+    for (file, distance) in [("person_astronaut.jpg", 0.95), ("person_officer.jpg", 0.6)] {
+        let apart = shoulders(file, distance);
+        println!("{file}: {apart:?}");
+        assert!(apart.is_some_and(|apart| (0.25..0.5).contains(&apart)), "{file}: {apart:?}");
+    }
+    for (file, ..) in REAL {
+        let image = real(file);
+        println!("{file}: {:?}", LearnedBodyDetector::default().find(&image).map(|body| body.presence));
+        assert_eq!(shoulders(file, 0.5), None, "{file}");
     }
 }

@@ -27,6 +27,9 @@ const STEP_S: f64 = 0.005;
 #[derive(Debug, Default)]
 struct Score {
     confusion: BTreeMap<(Option<Gesture>, Option<Gesture>), usize>,
+    /// How far the palm was seen from its middle, m, and fingers from the hand's direction, rad, in the frames with the right gesture.
+    palms: Vec<f64>,
+    pointing: Vec<f64>,
 }
 
 impl Score {
@@ -45,16 +48,16 @@ impl Score {
     }
 }
 
-/// The wiping hand, moved without physics.
-struct Wiper {
+/// The robot's hand, moved without physics.
+pub(super) struct Wiper {
     ik: DifferentialIk,
     joints: Vec<usize>,
     tcp: LinkId,
-    q: Vec<f64>,
+    pub(super) q: Vec<f64>,
 }
 
 impl Wiper {
-    fn new(model: &Arc<Model>, arm: &str) -> Self {
+    pub(super) fn new(model: &Arc<Model>, arm: &str) -> Self {
         let tcp = model.arms().find(|limb| limb.name == arm).and_then(|limb| limb.tcp).unwrap();
         let joints = model.reaching_joints(arm);
         let ik = DifferentialIk::new(model, tcp, &joints, IkConfig::default());
@@ -67,7 +70,7 @@ impl Wiper {
         *self.ik.kinematics().pose(self.tcp)
     }
 
-    fn go(&mut self, goal: &Vector3<f64>) {
+    pub(super) fn go(&mut self, goal: &Vector3<f64>) {
         let linear = (goal - self.tcp().translation.vector) * 10.0;
         let linear = linear * (0.4 / linear.norm().max(0.4));
         let step = self.ik.step(&self.q, &Twist { linear, ..Twist::default() }, None);
@@ -144,9 +147,16 @@ fn watch(world: &World, seed: u64, hands: HandDetection) -> Score {
         let scene = Arc::new(ShadowedScene::new(drawing.scene(&view)));
         let truth = eyes.draw(&drawing, &scene, &view);
         let frame = eyes.rig.source.newest.borrow().frame.unwrap();
-        let seen = observer.update(&frame).map(|s| s.gesture);
+        let seen = observer.update(&frame);
         if truth.since_s >= STEADY_S && (truth.visible || truth.gesture.is_none()) {
-            *score.confusion.entry((truth.gesture, seen)).or_default() += 1;
+            let gesture = seen.as_ref().map(|seen| seen.gesture);
+            *score.confusion.entry((truth.gesture, gesture)).or_default() += 1;
+            if let (Some(hand), Some(seen)) = (state.hand, seen.filter(|_| gesture == truth.gesture)) {
+                let hand_from_left = hand.root_from_hand.inv_mul(&frame.root_from_left);
+                score.palms.push((hand_from_left * seen.palm_in_left).coords.norm());
+                let pointing = seen.pointing.map(|pointing| (hand_from_left * pointing).angle(&Vector3::z()));
+                score.pointing.extend(pointing);
+            }
         }
     }
     score
@@ -155,6 +165,12 @@ fn watch(world: &World, seed: u64, hands: HandDetection) -> Score {
 /// Whether a frame is due: fifteen times per second.
 fn eyes_open(t: f64) -> bool {
     (t * 15.0 + 1e-6).fract() < 15.0 * STEP_S
+}
+
+/// The value in the middle of the sorted values.
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }
 
 /// Dark and light woods, red, grey, and the colour of the hand itself.
@@ -185,5 +201,25 @@ fn networks_see_the_gestures_over_tables_of_another_colour() {
             assert!(frames > 40, "{color:?}: {score:?}");
             assert!(score.accuracy() >= 0.95, "{color:?}: {} {score:?}", score.accuracy());
         }
+    }
+}
+
+/// The fingers that point stand apart by up to 14 degrees, so that their mean is not quite the hand's direction.
+#[test]
+fn networks_see_where_a_hand_is_and_points() {
+    for (hands, has_depth) in
+        [(HandDetection::Skin, true), (HandDetection::Learned, true), (HandDetection::Learned, false)]
+    {
+        let mut world = world([120, 84, 60]);
+        world.camera.mounting_error.rotation_deg = [0.0; 3];
+        world.camera.depth = world.camera.depth.filter(|_| has_depth);
+        let Score { palms, pointing, .. } = watch(&world, 1, hands);
+        assert!(palms.len() > 40 && pointing.len() > 20, "{} {}", palms.len(), pointing.len());
+        let (palm, pointing) = (middle(palms), middle(pointing).to_degrees());
+        println!("{hands:?}, depth {has_depth}: palm {:.1} mm, direction {pointing:.1} degrees", palm * 1e3);
+        assert!(
+            palm < 0.013 && pointing < 11.0,
+            "{hands:?}, depth {has_depth}: {palm} m, {pointing} degrees"
+        );
     }
 }

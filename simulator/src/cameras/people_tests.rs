@@ -2,10 +2,12 @@
 //! robot that stands still, and with nobody.
 
 use armarium_robot::{Model, Visual};
+use armarium_values::distance_from_box;
 use armarium_visionx::{BodyJoint, BodyObserver, OwnPart};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use super::gestures::Wiper;
 use super::*;
 use crate::coach::{CoachState, minimum_jerk};
 use crate::figure::{joints, poses};
@@ -32,6 +34,7 @@ struct Watched {
     drawing: Drawing,
     table: TableTop,
     model: Arc<Model>,
+    arm: String,
     q: Vec<f64>,
 }
 
@@ -43,7 +46,16 @@ impl Watched {
         let eyes = Eyes::new(&world, 0, &robots[0], seed);
         let drawing = Drawing::new(&world, &robots, &table, seed);
         let q = looking(&model, model.ready(&robots[0].arm), at);
-        Self { eyes, drawing, table, model, q }
+        Self { eyes, drawing, table, arm: robots[0].arm.clone(), model, q }
+    }
+
+    /// The robot's hand goes between its camera and a place, or as near to there as it comes.
+    fn reach_before(&mut self, hidden: &Point3<f64>, at: &Point3<f64>) {
+        let camera = self.model.link_pose(&self.q, self.model.camera().unwrap().left).translation.vector;
+        let goal = camera + (hidden.coords - camera).normalize() * 0.5;
+        let mut hand = Wiper::new(&self.model, &self.arm);
+        (0..1000).for_each(|_| hand.go(&goal));
+        self.q = looking(&self.model, &hand.q, at);
     }
 
     /// The boxes around all parts of the robot.
@@ -123,6 +135,8 @@ struct Errors {
     frames: usize,
     without_person: usize,
     exchanged: usize,
+    /// Elbows and wrists that were seen at the robot's own arm, and are not there.
+    taken: usize,
 }
 
 impl Errors {
@@ -193,15 +207,34 @@ fn is_free(
     inside.then(|| shown == 0.0 || shown > at.z - UNDER[joint as usize])
 }
 
+/// How far a place is from the nearest part of the robot, m.
+fn from_own(own: &[OwnPart], at: &Point3<f64>) -> f64 {
+    let from = |part: &OwnPart| distance_from_box(at, &part.root_from_box, &part.size);
+    own.iter().map(from).fold(f64::INFINITY, f64::min)
+}
+
+/// What the robot does with its arm meanwhile, and whether the observer knows its body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum OwnArm {
+    Rests,
+    ReachesOut { known: bool },
+}
+
 /// Watches one person who moves both arms once.
-fn watch(seed: u64, does: Does, depth: bool, all: &mut Errors) {
+fn watch(seed: u64, does: Does, depth: bool, arm: OwnArm, all: &mut Errors) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let spec = somebody(&mut rng, seed);
     let [x, y] = spec.at;
     let looks_at = Point3::new(x, y, 0.76 * spec.height);
     let mut watched = Watched::new(world(depth, Some(spec.clone())), &looks_at, seed);
     let mut observer = BodyObserver::new(watched.eyes.rig.source.calibration());
+    if let OwnArm::ReachesOut { .. } = arm {
+        let hidden =
+            Point3::new(x + between(&mut rng, -0.25, 0.25), y, between(&mut rng, 0.62, 0.8) * spec.height);
+        watched.reach_before(&hidden, &looks_at);
+    }
     let own = watched.own();
+    let known = if arm == (OwnArm::ReachesOut { known: false }) { &[] } else { &own[..] };
     let feet = Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * spec.yaw_deg.to_radians());
     let from = [0, 1].map(|side| goal(&mut rng, &spec, side, Does::Hangs));
     let to = [0, 1].map(|side| goal(&mut rng, &spec, side, does));
@@ -211,7 +244,7 @@ fn watch(seed: u64, does: Does, depth: bool, all: &mut Errors) {
         let parts = poses(&spec, &feet, &hands);
         let truth = joints(&spec, &parts).unwrap();
         let (frame, shown) = watched.frame(number, &[parts]);
-        let seen = observer.update(&frame, &own);
+        let seen = observer.update(&frame, known);
         if number <= BEGINS {
             continue;
         }
@@ -226,6 +259,8 @@ fn watch(seed: u64, does: Does, depth: bool, all: &mut Errors) {
             let at = truth[joint as usize];
             let in_left = frame.root_from_left.inverse() * at;
             let Some(free) = is_free(joint, &in_left, (&camera, &shown)) else { continue };
+            let taken = seen.joint(joint).is_some_and(|seen| from_own(&own, &seen.at) < 0.05);
+            all.taken += usize::from(taken && from_own(&own, &at) > 0.15);
             let error = seen.joint(joint).map_or(f64::INFINITY, |seen| (seen.at - at).norm());
             if free { &mut all.seen } else { &mut all.hidden }.push(error);
             let other = truth[joint.mirrored() as usize];
@@ -239,7 +274,7 @@ fn watch(seed: u64, does: Does, depth: bool, all: &mut Errors) {
 fn watched(depth: bool, seeds: u64) -> Errors {
     let mut all = Errors::default();
     for does in [Does::Hangs, Does::Reaches, Does::BeforeTorso, Does::Aside] {
-        (1..=seeds).for_each(|seed| watch(seed + 10 * does as u64, does, depth, &mut all));
+        (1..=seeds).for_each(|seed| watch(seed + 10 * does as u64, does, depth, OwnArm::Rests, &mut all));
     }
     all
 }
@@ -274,4 +309,26 @@ fn where_nobody_is_nobody_is_seen_and_the_own_arm_is_no_persons() {
             }
         }
     }
+}
+
+/// With its hand before the trunk or an arm of the person, known and unknown to the observer.
+#[test]
+fn the_own_arm_before_a_person_is_not_taken_for_theirs() {
+    let [known, unknown] = [true, false].map(|known| {
+        let mut all = Errors::default();
+        for does in [Does::Hangs, Does::Reaches, Does::BeforeTorso, Does::Aside] {
+            (1..=3).for_each(|seed| {
+                watch(seed + 10 * does as u64, does, true, OwnArm::ReachesOut { known }, &mut all);
+            });
+        }
+        let [half, most] = [0.5, 0.95].map(|share| all.quantile(share) * 1e3);
+        println!(
+            "known {known}: {} taken in {} frames, {half:.0} and {most:.0} mm, {} seen, {} hidden, {} exchanged, {} without",
+            all.taken, all.frames, all.seen.len(), all.hidden.len(), all.exchanged, all.without_person
+        );
+        all
+    });
+    assert!(known.hidden.len() > 300 && unknown.taken > 20, "the arm hides nothing: {unknown:?}");
+    assert!(known.taken * 100 < known.frames, "{} of {}", known.taken, known.frames);
+    assert!(known.quantile(0.5) < 0.040 && known.quantile(0.95) < 0.120, "{known:?}");
 }

@@ -15,6 +15,8 @@ use crate::tracking::{BodyLandmarks, LearnedBodyDetector};
 const LEAST_VISIBLE: f64 = 0.5;
 /// How far apart shoulders may be, m.
 const SHOULDERS: [f64; 2] = [0.20, 0.60];
+/// How thick the flesh around a joint is at least, m.
+const FLESH: f64 = 0.03;
 /// How many frames that follow each other must show a person before it is believed.
 const SURE: u32 = 3;
 
@@ -59,7 +61,8 @@ impl BodyObserver {
                 self.left.forget();
             }
         }
-        let joints = self.follower.at(frame.stamp_ns);
+        // What is followed may move on into it, too.
+        let joints = beside(own, self.follower.at(frame.stamp_ns));
         let is_known = joints.iter().any(Option::is_some) && self.shown >= SURE;
         is_known.then_some(BodyObservation { joints, confidence: self.confidence })
     }
@@ -90,7 +93,7 @@ impl BodyObserver {
                 joints(&body, &Measured::Eyes(&right), &self.calibration)
             }
         };
-        let seen = in_root(seen?, &frame.root_from_left);
+        let seen = beside(own, in_root(seen?, &frame.root_from_left));
         is_person(&seen).then_some((body, seen))
     }
 }
@@ -115,6 +118,12 @@ fn in_root(seen: [Option<SeenJoint>; 7], root_from_left: &Isometry3<f64>) -> [Op
         let covariance = turn.matrix() * covariance * turn.matrix().transpose();
         Some(SeenJoint { at: root_from_left * at, covariance: (covariance + covariance.transpose()) / 2.0 })
     })
+}
+
+/// The joints that are beside the own body: a person's are neither in it nor nearer to it than their flesh is thick.
+fn beside(own: &[OwnPart], seen: [Option<SeenJoint>; 7]) -> [Option<SeenJoint>; 7] {
+    let is_beside = |joint: &SeenJoint| own.iter().all(|part| part.distance(&joint.at) > FLESH);
+    seen.map(|seen| seen.filter(is_beside))
 }
 
 /// Whether joints are those of a person: shoulders as far apart as a person's.

@@ -1,7 +1,8 @@
 //! A hand by the landmarks of trained networks: where it is in space, by depth or by both eyes, and which fingers are stretched.
 //!
 //! The networks tell where the joints are relative to each other, for a hand of usual size. How far away the hand is, is the median over
-//! all landmarks of what is measured there, so a few that something hides, or that lie beside a thin finger, do not matter.
+//! all landmarks of what is measured there, so a few that something hides, or that lie beside a thin finger, do not matter. What is measured
+//! at the palm and at a finger counts if it fits that.
 
 use nalgebra::{Point2, Point3, Vector3};
 
@@ -13,8 +14,9 @@ use crate::camera::StereoCalibration;
 use crate::frame::StereoFrame;
 use crate::tracking::{FingerBends, HandLandmarks, LearnedHandDetector};
 
-/// Radius around a landmark in which its depth is measured, relative to the palm's.
+/// Radius around a landmark, and around the palm's middle, in which its depth is measured, relative to the palm's.
 const ABOUT: f64 = 0.12;
+const ABOUT_PALM: f64 = 0.75;
 /// What is measured farther than this from where a landmark is told to be is something else, m; what is nearer by more than this hides it.
 const ELSEWHERE: f64 = 0.05;
 /// Fewer landmarks tell nothing of how far away the hand is.
@@ -41,6 +43,8 @@ struct Hand<'a> {
     calibration: &'a StereoCalibration,
     /// The depth of what is seen at each landmark, m, if it was measured.
     depths: [Option<f64>; HandLandmarks::COUNT],
+    /// The same at the palm's middle.
+    palm_depth: Option<f64>,
     /// The depth of the landmarks' own origin, m.
     origin: f64,
 }
@@ -58,17 +62,19 @@ impl HandsByLandmarks {
         calibration: &StereoCalibration,
     ) -> Option<MeasuredHand> {
         let landmarks = self.left.landmarks(&frame.left)?;
-        let depths = match frame.depth.as_deref() {
+        let (palm, palm_radius) = landmarks.palm();
+        let (depths, palm_depth) = match frame.depth.as_deref() {
             Some(depth) => {
-                let radius = ABOUT * landmarks.palm().1;
                 let is_inside = |at: i64, size: u32| (0..i64::from(size)).contains(&at);
                 let counts = |x, y| is_inside(x, depth.width) && is_inside(y, depth.height);
-                landmarks.points.map(|px| depth_about(depth, &px, radius, counts))
+                let about = |px: &Point2<f64>, radius| depth_about(depth, px, radius * palm_radius, counts);
+                (landmarks.points.map(|px| about(&px, ABOUT)), about(&palm, ABOUT_PALM))
             }
             None => {
                 let right = self.right.landmarks(&frame.right)?;
-                let [left, right] = [landmarks.points, right.points];
-                std::array::from_fn(|i| Some(calibration.triangulate(&left[i], &right[i])?.z))
+                let depth = |left, right| Some(calibration.triangulate(left, right)?.z);
+                let depths = std::array::from_fn(|i| depth(&landmarks.points[i], &right.points[i]));
+                (depths, depth(&palm, &right.palm().0))
             }
         };
         let offsets = depths.iter().zip(&landmarks.in_hand);
@@ -77,7 +83,7 @@ impl HandsByLandmarks {
             return None;
         }
         let origin = median(offsets)?;
-        Hand { landmarks: &landmarks, calibration, depths, origin }.measured(frame)
+        Hand { landmarks: &landmarks, calibration, depths, palm_depth, origin }.measured(frame)
     }
 }
 
@@ -100,9 +106,11 @@ impl Hand<'_> {
             let z = self.depth(finger[3]);
             Fingertip { px, in_left: Some(self.at(&px, z)), score: *score }
         };
-        let palm = self.landmarks.palm_in_hand().z + self.origin;
+        let palm = self.fitting(self.palm_depth, self.landmarks.palm_in_hand().z);
+        let palm = self.at(&palm_px, palm);
         Some(MeasuredHand {
-            palm: MeasuredHand::under(self.at(&palm_px, palm))?,
+            // A depth image shows the skin; the landmarks that both eyes see are within the hand.
+            palm: if frame.depth.is_some() { MeasuredHand::under(palm)? } else { palm },
             palm_px,
             palm_radius_px,
             hidden,
@@ -123,21 +131,26 @@ impl Hand<'_> {
         hidden.count() as f64 / self.depths.len() as f64
     }
 
-    /// The depth of a landmark: as measured, unless that is of something else.
+    /// The depth of a landmark, m.
     fn depth(&self, landmark: usize) -> f64 {
-        let told = self.landmarks.in_hand[landmark].z + self.origin;
-        self.depths[landmark].filter(|z| (z - told).abs() < ELSEWHERE).unwrap_or(told)
+        self.fitting(self.depths[landmark], self.landmarks.in_hand[landmark].z)
+    }
+
+    /// A depth as measured, unless that is of something else than what the landmarks tell there.
+    fn fitting(&self, measured: Option<f64>, in_hand: f64) -> f64 {
+        let told = in_hand + self.origin;
+        measured.filter(|z| (z - told).abs() < ELSEWHERE).unwrap_or(told)
     }
 
     fn at(&self, px: &Point2<f64>, z: f64) -> Point3<f64> {
         Point3::from(self.calibration.camera.ray(px) * z)
     }
 
-    /// The mean direction of fingers from knuckle to tip.
+    /// The mean direction of fingers from their second joint to their tip: a thumb or curled fingers may lie before the knuckle.
     fn direction(&self, fingers: &[[usize; 4]]) -> Option<Vector3<f64>> {
         let mut sum = Vector3::zeros();
-        for [knuckle, .., tip] in fingers {
-            let [base, end] = [*knuckle, *tip].map(|i| self.at(&self.landmarks.points[i], self.depth(i)));
+        for [_, joint, _, tip] in fingers {
+            let [base, end] = [*joint, *tip].map(|i| self.at(&self.landmarks.points[i], self.depth(i)));
             sum += (end - base).try_normalize(1e-6)?;
         }
         sum.try_normalize(1e-6)

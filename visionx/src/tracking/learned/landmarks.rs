@@ -2,7 +2,7 @@
 
 use std::array::from_fn;
 
-use nalgebra::{Point2, Point3, Vector2, Vector3};
+use nalgebra::{Const, OPoint, Point2, Point3, SVector, Vector2};
 
 use super::square::{Outside, Square};
 use crate::frame::RgbImage;
@@ -26,8 +26,8 @@ const SHIFT: f64 = 0.1;
 /// How far the reported fingertip is beyond the last landmark, relative to the piece before it. That landmark is some 7 mm inside of the
 /// finger's end.
 const BEYOND: f64 = 0.12;
-/// Where the middle of the palm is between wrist and knuckles.
-const PALM: f64 = 0.6;
+/// The landmarks around the palm: its heel (the wrist, twice as wide as a knuckle), the base of the thumb and the four knuckles.
+const PALM: [usize; 7] = [0, 0, 1, 5, 9, 13, 17];
 
 /// The joints of a hand: the wrist (0), then from its base to its tip the thumb (1 to 4), the index (5 to 8), middle (9 to 12), ring
 /// (13 to 16) and little finger (17 to 20).
@@ -95,20 +95,15 @@ impl HandLandmarks {
     /// Centre and radius of the largest disc in the palm, px.
     #[must_use]
     pub fn palm(&self) -> (Point2<f64>, f64) {
-        let knuckles = [5, 9, 13, 17].map(|i| self.points[i].coords);
-        let middle = Point2::from(knuckles.iter().sum::<Vector2<f64>>() / 4.0);
         // Seen from the side a palm is narrow, seen from its end it is short.
         let across = (self.points[5] - self.points[17]).norm();
         let along = (self.points[0] - self.points[9]).norm();
-        let center = self.points[0] + (middle - self.points[0]) * PALM;
-        (center, (0.55 * across).max(0.42 * along).max(1.0))
+        (middle_of(&self.points), (0.55 * across).max(0.42 * along).max(1.0))
     }
 
     /// The palm's middle about the hand's own centre, m.
     pub(crate) fn palm_in_hand(&self) -> Point3<f64> {
-        let knuckles = [5, 9, 13, 17].map(|i| self.in_hand[i].coords);
-        let middle = Point3::from(knuckles.iter().sum::<Vector3<f64>>() / 4.0);
-        self.in_hand[0] + (middle - self.in_hand[0]) * PALM
+        middle_of(&self.in_hand)
     }
 
     /// Bounding box of a hand with this radius of the palm.
@@ -125,4 +120,12 @@ impl HandLandmarks {
     pub(super) fn chains(&self) -> [[Point3<f64>; 5]; 5] {
         Self::FINGERS.map(|finger| from_fn(|i| self.in_hand[if i == 0 { 0 } else { finger[i - 1] }]))
     }
+}
+
+/// The middle of the palm.
+fn middle_of<const D: usize>(
+    landmarks: &[OPoint<f64, Const<D>>; HandLandmarks::COUNT],
+) -> OPoint<f64, Const<D>> {
+    let around = PALM.map(|i| landmarks[i].coords);
+    OPoint::from(around.iter().sum::<SVector<f64, D>>() / around.len() as f64)
 }
