@@ -10,6 +10,7 @@ use armarium_simulator::{Referee, World};
 use armarium_values::Value;
 use armarium_values::report::{Block, Figure, Picture, Section, Series, TimePlot};
 use armarium_viewer::report::{self, ChainLink, ReportData};
+use armarium_visionx::HandDetection;
 use serde_json::{Value as Json, json};
 
 use crate::memory_log::{self, LoggedChange};
@@ -22,6 +23,7 @@ pub(crate) struct ReportedRun<'r> {
     pub(crate) world: &'r World,
     pub(crate) seed: u64,
     pub(crate) profile: Option<&'r str>,
+    pub(crate) hands: HandDetection,
     pub(crate) result: &'r RunResult,
     pub(crate) simulated_s: f64,
     pub(crate) wall_s: f64,
@@ -46,6 +48,7 @@ pub(crate) fn figures(case: &ReportedRun<'_>) -> Json {
         "world": case.world.name,
         "seed": case.seed,
         "profile": case.profile,
+        "detector": case.hands.name(),
         "inputs": values(&case.log.inputs),
         "outputs": values(&case.result.outputs),
         "log": case.log.written,
@@ -180,6 +183,10 @@ fn page(case: ReportedRun<'_>, mut judged: Vec<Section>, memories: Option<Sectio
             .map(|(title, values)| (title.to_owned(), listed(values)))
             .chain((!case.acted.is_empty()).then(|| ("acted on".to_owned(), case.acted.join("; "))))
             .chain(case.profile.map(|profile| ("profile".to_owned(), profile.to_owned())))
+            .chain(
+                (case.hands != HandDetection::default())
+                    .then(|| ("hands found by".to_owned(), case.hands.name().to_owned())),
+            )
             .chain([
                 ("simulated".into(), minutes(case.simulated_s)),
                 ("on the wall".into(), minutes(case.wall_s)),

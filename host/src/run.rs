@@ -467,6 +467,7 @@ impl RunSetup {
             world,
             seed: config.seed,
             profile: config.profile.as_deref(),
+            hands: config.hands,
             result: &result,
             simulated_s,
             wall_s: began.elapsed().as_secs_f64(),

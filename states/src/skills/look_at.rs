@@ -1,4 +1,4 @@
-//! `LookAt`: turns the head until the cameras look at a point.
+//! `LookAt`: turns the head until the cameras look at a point, and keeps it so for a time while the body moves.
 
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -32,7 +32,13 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
     )
     .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
-    .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
+    .optional("timeout", Type::Duration, 5.0, "Longest time it may take.")
+    .optional(
+        "keep",
+        Type::Duration,
+        0.0,
+        "How long it goes on looking there, also while the body moves.",
+    );
     equipment::skill(equipment, moves_the_head(names_the_arm(manifest), equipment), run)
 }
 
@@ -60,16 +66,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         return in_view(&equipment, &mut head, &point);
     }
     let mut senses = Senses::new(&*equipment.robot, &context);
+    let keep = context.number("keep")?;
     let (mut elapsed, mut reached_for) = (0.0, 0.0);
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
         let angle = head.look(&sample, dt, &point, SPEED)?;
-        reached_for = if angle < tolerance { reached_for + dt } else { 0.0 };
-        if reached_for > REST_TIME {
+        let has_rested = reached_for > REST_TIME;
+        reached_for = if angle < tolerance || has_rested { reached_for + dt } else { 0.0 };
+        if reached_for > REST_TIME + keep {
             return Ok(Outcome::success());
         }
-        if elapsed > timeout {
+        if elapsed > timeout && !has_rested {
             return Err(Failure::new(format!(
                 "the eyes are still {angle:.2} rad off the point after {timeout:.0} s: it is out of the head's range"
             )));

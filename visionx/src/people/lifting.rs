@@ -24,11 +24,15 @@ const TOLD: f64 = 0.15;
 const DISPARITY: f64 = 1.5;
 /// So many deviations away a measurement is of something else.
 const ELSEWHERE: f64 = 3.0;
+/// What a nearer surface costs a depth that it hides, squared deviations: one landmark of ten is on what is before its joint.
+const HIDDEN: f64 = 4.6;
 /// Radius in which a joint's surface is looked for, m; how far its pixels may be beside it, m; and what is deeper by more than this is
 /// another surface, m.
 const ABOUT: f64 = 0.05;
 const BESIDE: f64 = 0.025;
 const THICK: f64 = 0.05;
+/// A surface that is beside the joint by less than this, squared deviations, is at the joint itself.
+const AT_JOINT: f64 = 0.25;
 /// Fewer pixels are no surface.
 const FEWEST: usize = 8;
 /// How far away a person may be, m.
@@ -42,7 +46,7 @@ const SIZES: [f64; 2] = [0.75, 1.3];
 /// Drillis and Contini 1966, *Body Segment Parameters*: 0.186 and 0.146 of the height. The joints of the shoulders, which are inside of
 /// their outer ends, are 0.22 of it apart.
 const BONES: [f64; 2] = [0.85, 0.66];
-const BONE: f64 = 0.12;
+const BONE: f64 = 0.2;
 /// How far from where it is told to be a joint is looked for, m, and how finely.
 const SOUGHT: f64 = 0.5;
 const STEP: f64 = 0.005;
@@ -60,8 +64,8 @@ pub(super) enum Measured<'a> {
 struct MeasuredDepth {
     depth: f64,
     deviation: f64,
-    /// How many deviations its pixels are beside the joint, squared.
-    beside: f64,
+    /// What else speaks against it, as squared deviations: its pixels are beside the joint, or something hides it.
+    cost: f64,
 }
 
 /// A joint on its ray.
@@ -141,7 +145,7 @@ impl OnRay {
     /// The sum of the squared deviations at a depth.
     fn cost(&self, depth: f64, told: f64, before: Option<Bone>) -> f64 {
         let off = |by: f64, deviation: f64| (by / deviation).powi(2);
-        let measured = self.measured.iter().map(|m| off(depth - m.depth, m.deviation) + m.beside);
+        let measured = self.measured.iter().map(|m| off(depth - m.depth, m.deviation) + m.cost);
         let measured = measured.fold(ELSEWHERE * ELSEWHERE, f64::min);
         let bone = before.map_or(0.0, |(before, length)| {
             off((self.ray * depth - before.coords).norm() - length, BONE * length)
@@ -175,7 +179,7 @@ fn on_ray(
             let at = calibration.triangulate(&px, &right);
             let deviation = |z: f64| DISPARITY * z * z / (camera.focal * calibration.baseline);
             let measured =
-                |at: Point3<f64>| MeasuredDepth { depth: at.z, deviation: deviation(at.z), beside: 0.0 };
+                |at: Point3<f64>| MeasuredDepth { depth: at.z, deviation: deviation(at.z), cost: 0.0 };
             at.into_iter().map(measured).collect()
         }
     };
@@ -183,7 +187,7 @@ fn on_ray(
     Some(OnRay { ray: camera.ray(&px), in_body, measured })
 }
 
-/// The depths of a joint that lies so far under the surfaces about a pixel, the one that is nearest beside it first.
+/// The depths of a joint that lies so far under the surfaces about a pixel, the most probable one first.
 fn surfaces(
     depth: &DepthImage,
     own: &Mask,
@@ -207,10 +211,39 @@ fn surfaces(
         let about: Vec<f64> =
             pixels.iter().filter(|(_, beside)| *beside < nearest + ABOUT / 3.0).map(|(z, _)| *z).collect();
         let depth = EpipolarCheck::median(&about)? + under;
-        let beside = (nearest / BESIDE).powi(2);
-        (pixels.len() >= FEWEST).then_some(MeasuredDepth { depth, deviation: SURFACE, beside })
+        let cost = (nearest / BESIDE).powi(2);
+        (pixels.len() >= FEWEST).then_some(MeasuredDepth { depth, deviation: SURFACE, cost })
     };
     let mut found: Vec<MeasuredDepth> = all.chunk_by(|a, b| b.0 - a.0 < THICK).filter_map(surface).collect();
-    found.sort_by(|a, b| a.beside.total_cmp(&b.beside));
+    // The nearest surface at the joint itself hides all that is behind it.
+    let front = found.iter().position(|surface| surface.cost < AT_JOINT);
+    for hidden in found.iter_mut().skip(front.map_or(usize::MAX, |front| front + 1)) {
+        hidden.cost += HIDDEN;
+    }
+    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::CALIBRATION;
+
+    /// A hand at 0.6 m before a trunk at 1 m; the landmark is on the hand, near to its edge.
+    #[test]
+    fn what_a_surface_at_the_joint_hides_is_less_probable() {
+        let camera = CALIBRATION.camera;
+        let (width, height) = (camera.width, camera.height);
+        let shown = |x: u32| if x < 330 { 0.6 } else { 1.0 };
+        let data = (0..height).flat_map(|_| (0..width).map(shown)).collect();
+        let depth = DepthImage { width, height, data };
+        let nothing = Mask::empty(Region::whole(width, height));
+        let at = |x: f64| surfaces(&depth, &nothing, &camera, &Point2::new(x, 240.0), 0.02);
+        let [hand, trunk] = at(322.0)[..] else { panic!("two surfaces") };
+        assert!((hand.depth - 0.62).abs() < 1e-6 && hand.cost < AT_JOINT, "{hand:?}");
+        assert!((trunk.depth - 1.02).abs() < 1e-6 && trunk.cost > HIDDEN, "{trunk:?}");
+        // A landmark on the trunk says nothing against the hand beside it, but that it is beside.
+        let [trunk, hand] = at(340.0)[..] else { panic!("two surfaces") };
+        assert!(trunk.depth > hand.depth && hand.cost < HIDDEN, "{trunk:?} {hand:?}");
+    }
 }

@@ -20,6 +20,15 @@ pub enum HandDetection {
 }
 
 impl HandDetection {
+    /// Its name on the command line and in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Skin => "skin",
+            Self::Learned => "learned",
+        }
+    }
+
     /// An observer of the frames of these cameras.
     #[must_use]
     pub fn observer(self, calibration: StereoCalibration) -> HandObserver {
