@@ -95,6 +95,8 @@ fn world(table: [u8; 3]) -> World {
         show(6.0, Gesture::PointTwo, 0.25, [0.0, 0.12, 0.04], None),
         show(10.0, Gesture::PointOne, 0.5, [-0.05, 0.12, 0.05], Some([0.04, 0.0, 0.0])),
         show(14.0, Gesture::OpenHand, 0.25, [0.0, 0.11, 0.06], None),
+        // Away from the eyes.
+        show(18.0, Gesture::PointOne, 0.5, [-0.05, 0.12, 0.05], Some([0.0, 0.04, 0.0])),
     ];
     world
 }
@@ -116,7 +118,7 @@ fn watch(world: &World, seed: u64, hands: HandDetection) -> Score {
     let dirt = DirtGrid::new(&table);
     let (mut score, mut hand_gone_at, mut before) = (Score::default(), 0.0, wiper.tcp());
     coach.hear("wiping", 0.0);
-    for step in 0..(18.0 / STEP_S) as u64 {
+    for step in 0..(22.0 / STEP_S) as u64 {
         let t = step as f64 * STEP_S;
         let [x, y] = path.point(std::f64::consts::TAU * path.frequency() * t);
         wiper.go(&Vector3::new(x, y, table.plane_height(x, y) + TCP_HEIGHT));

@@ -2,7 +2,7 @@
 //!
 //! The networks tell where the joints are relative to each other, for a hand of usual size. How far away the hand is, is the median over
 //! all landmarks of what is measured there, so a few that something hides, or that lie beside a thin finger, do not matter. What is measured
-//! at the palm and at a finger counts if it fits that.
+//! at the palm counts if it fits that. Along a stretched finger the networks tell too little depth, so that is measured from joint to joint.
 
 use nalgebra::{Point2, Point3, Vector3};
 
@@ -11,7 +11,7 @@ use super::depth::depth_about;
 use super::measured::MeasuredHand;
 use super::{Fingertip, HandObservation};
 use crate::camera::StereoCalibration;
-use crate::frame::StereoFrame;
+use crate::frame::{DepthImage, StereoFrame};
 use crate::tracking::{FingerBends, HandLandmarks, LearnedHandDetector};
 
 /// Radius around a landmark, and around the palm's middle, in which its depth is measured, relative to the palm's.
@@ -19,6 +19,8 @@ const ABOUT: f64 = 0.12;
 const ABOUT_PALM: f64 = 0.75;
 /// What is measured farther than this from where a landmark is told to be is something else, m; what is nearer by more than this hides it.
 const ELSEWHERE: f64 = 0.05;
+/// How much longer than told a piece of a finger may be.
+const LONGER: f64 = 1.3;
 /// Fewer landmarks tell nothing of how far away the hand is.
 const FEWEST: usize = 8;
 
@@ -41,12 +43,19 @@ impl Default for HandsByLandmarks {
 struct Hand<'a> {
     landmarks: &'a HandLandmarks,
     calibration: &'a StereoCalibration,
+    by: By<'a>,
     /// The depth of what is seen at each landmark, m, if it was measured.
     depths: [Option<f64>; HandLandmarks::COUNT],
-    /// The same at the palm's middle.
-    palm_depth: Option<f64>,
     /// The depth of the landmarks' own origin, m.
     origin: f64,
+}
+
+/// What depths are measured by.
+enum By<'a> {
+    /// The depth image shows the skin over the landmarks.
+    Depth(&'a DepthImage),
+    /// Both eyes see the landmarks themselves: those in the right image.
+    Eyes(HandLandmarks),
 }
 
 impl HandsByLandmarks {
@@ -61,39 +70,78 @@ impl HandsByLandmarks {
         frame: &StereoFrame,
         calibration: &StereoCalibration,
     ) -> Option<MeasuredHand> {
-        let landmarks = self.left.landmarks(&frame.left)?;
-        let (palm, palm_radius) = landmarks.palm();
-        let (depths, palm_depth) = match frame.depth.as_deref() {
-            Some(depth) => {
-                let is_inside = |at: i64, size: u32| (0..i64::from(size)).contains(&at);
-                let counts = |x, y| is_inside(x, depth.width) && is_inside(y, depth.height);
-                let about = |px: &Point2<f64>, radius| depth_about(depth, px, radius * palm_radius, counts);
-                (landmarks.points.map(|px| about(&px, ABOUT)), about(&palm, ABOUT_PALM))
-            }
-            None => {
-                let right = self.right.landmarks(&frame.right)?;
-                let depth = |left, right| Some(calibration.triangulate(left, right)?.z);
-                let depths = std::array::from_fn(|i| depth(&landmarks.points[i], &right.points[i]));
-                (depths, depth(&palm, &right.palm().0))
-            }
+        let landmarks = &self.left.landmarks(&frame.left)?;
+        let by = match frame.depth.as_deref() {
+            Some(depth) => By::Depth(depth),
+            None => By::Eyes(self.right.landmarks(&frame.right)?),
         };
+        let mut hand = Hand { landmarks, calibration, by, depths: [None; HandLandmarks::COUNT], origin: 0.0 };
+        hand.depths = std::array::from_fn(|i| hand.seen(i, |_| true));
+        let depths = &hand.depths;
         let offsets = depths.iter().zip(&landmarks.in_hand);
         let offsets: Vec<f32> = offsets.filter_map(|(z, told)| Some(((*z)? - told.z) as f32)).collect();
         if offsets.len() < FEWEST {
             return None;
         }
-        let origin = median(offsets)?;
-        Hand { landmarks: &landmarks, calibration, depths, palm_depth, origin }.measured(frame)
+        hand.origin = median(offsets)?;
+        hand.measured(frame)
     }
 }
 
 impl Hand<'_> {
+    /// The depth of what counts at a landmark, m, if it can be measured.
+    fn seen(&self, landmark: usize, counts: impl Fn(f64) -> bool) -> Option<f64> {
+        let px = &self.landmarks.points[landmark];
+        match &self.by {
+            By::Depth(depth) => self.shown(depth, px, ABOUT, counts),
+            By::Eyes(right) => self
+                .calibration
+                .triangulate(px, &right.points[landmark])
+                .map(|at| at.z)
+                .filter(|z| counts(*z)),
+        }
+    }
+
+    /// The depth of what counts within a radius (relative to the palm's) about a pixel of the depth image, m.
+    fn shown(
+        &self,
+        depth: &DepthImage,
+        px: &Point2<f64>,
+        radius: f64,
+        counts: impl Fn(f64) -> bool,
+    ) -> Option<f64> {
+        let is_inside = |at: i64, size: u32| (0..i64::from(size)).contains(&at);
+        let counts = |x: i64, y: i64| {
+            is_inside(x, depth.width)
+                && is_inside(y, depth.height)
+                && counts(f64::from(depth.at(x as u32, y as u32)))
+        };
+        depth_about(depth, px, radius * self.landmarks.palm().1, counts)
+    }
+
+    /// The centre of the palm, left camera's frame, m.
+    fn palm(&self) -> Option<Point3<f64>> {
+        let (px, _) = self.landmarks.palm();
+        let told = self.landmarks.palm_in_hand().z + self.origin;
+        let fits = |z: f64| (z - told).abs() < ELSEWHERE;
+        match &self.by {
+            By::Depth(depth) => {
+                let z = self.shown(depth, &px, ABOUT_PALM, |_| true).filter(|z| fits(*z));
+                MeasuredHand::under(self.at(&px, z.unwrap_or(told)))
+            }
+            By::Eyes(right) => {
+                let z = self.calibration.triangulate(&px, &right.palm().0).map(|at| at.z);
+                Some(self.at(&px, z.filter(|z| fits(*z)).unwrap_or(told)))
+            }
+        }
+    }
+
     fn measured(&self, frame: &StereoFrame) -> Option<MeasuredHand> {
         let (palm_px, palm_radius_px) = self.landmarks.palm();
         let bends = FingerBends::of(self.landmarks);
         let bounds = self.landmarks.bounds(palm_radius_px, &frame.left);
         let cut = bounds.touches_border(frame.left.width(), frame.left.height());
-        let hidden = if cut { 1.0 } else { self.hidden(frame) };
+        let hidden = if cut { 1.0 } else { self.hidden() };
         let fingers = HandLandmarks::FINGERS.into_iter().zip(bends.stretched());
         let stretched: Vec<([usize; 4], f64)> = fingers.filter(|(_, score)| *score > 0.5).collect();
         // A thumb beside a pointing finger does not point.
@@ -103,14 +151,11 @@ impl Hand<'_> {
         let points = hidden < HandObservation::HIDDEN && (1..=2).contains(&pointing.len());
         let fingertip = |(finger, score): &([usize; 4], f64)| {
             let px = self.landmarks.fingertip(*finger);
-            let z = self.depth(finger[3]);
+            let [_, z] = self.reach(finger);
             Fingertip { px, in_left: Some(self.at(&px, z)), score: *score }
         };
-        let palm = self.fitting(self.palm_depth, self.landmarks.palm_in_hand().z);
-        let palm = self.at(&palm_px, palm);
         Some(MeasuredHand {
-            // A depth image shows the skin; the landmarks that both eyes see are within the hand.
-            palm: if frame.depth.is_some() { MeasuredHand::under(palm)? } else { palm },
+            palm: self.palm()?,
             palm_px,
             palm_radius_px,
             hidden,
@@ -122,8 +167,8 @@ impl Hand<'_> {
     }
 
     /// The share of the landmarks that something nearer hides; 0 without a depth image.
-    fn hidden(&self, frame: &StereoFrame) -> f64 {
-        if frame.depth.is_none() {
+    fn hidden(&self) -> f64 {
+        if let By::Eyes(_) = self.by {
             return 0.0;
         }
         let told = self.landmarks.in_hand.iter().map(|at| at.z + self.origin);
@@ -131,15 +176,18 @@ impl Hand<'_> {
         hidden.count() as f64 / self.depths.len() as f64
     }
 
-    /// The depth of a landmark, m.
-    fn depth(&self, landmark: usize) -> f64 {
-        self.fitting(self.depths[landmark], self.landmarks.in_hand[landmark].z)
-    }
-
-    /// A depth as measured, unless that is of something else than what the landmarks tell there.
-    fn fitting(&self, measured: Option<f64>, in_hand: f64) -> f64 {
-        let told = in_hand + self.origin;
-        measured.filter(|z| (z - told).abs() < ELSEWHERE).unwrap_or(told)
+    /// The depths of a stretched finger's second joint and of its tip, m. From joint to joint the depth changes by no more than their
+    /// distance; what changes more is before or behind the finger.
+    fn reach(&self, [_, joint, middle, tip]: &[usize; 4]) -> [f64; 2] {
+        let in_hand = &self.landmarks.in_hand;
+        let told = in_hand[*joint].z + self.origin;
+        let begin = self.seen(*joint, |z| (z - told).abs() < ELSEWHERE).unwrap_or(told);
+        let next = |z: f64, [from, to]: [usize; 2]| {
+            let piece = in_hand[to] - in_hand[from];
+            let reach = LONGER * piece.norm();
+            self.seen(to, |at| (at - z).abs() < reach).unwrap_or(z + piece.z)
+        };
+        [begin, next(next(begin, [*joint, *middle]), [*middle, *tip])]
     }
 
     fn at(&self, px: &Point2<f64>, z: f64) -> Point3<f64> {
@@ -149,9 +197,10 @@ impl Hand<'_> {
     /// The mean direction of fingers from their second joint to their tip: a thumb or curled fingers may lie before the knuckle.
     fn direction(&self, fingers: &[[usize; 4]]) -> Option<Vector3<f64>> {
         let mut sum = Vector3::zeros();
-        for [_, joint, _, tip] in fingers {
-            let [base, end] = [*joint, *tip].map(|i| self.at(&self.landmarks.points[i], self.depth(i)));
-            sum += (end - base).try_normalize(1e-6)?;
+        for finger in fingers {
+            let [from, to] = self.reach(finger);
+            let [_, joint, _, tip] = finger.map(|i| &self.landmarks.points[i]);
+            sum += (self.at(tip, to) - self.at(joint, from)).try_normalize(1e-6)?;
         }
         sum.try_normalize(1e-6)
     }
