@@ -48,7 +48,7 @@ impl Score {
     }
 }
 
-/// The robot's hand, moved without physics.
+/// The robot's hand, here the one that wipes, moved without physics.
 pub(super) struct Wiper {
     ik: DifferentialIk,
     joints: Vec<usize>,
@@ -78,7 +78,7 @@ impl Wiper {
     }
 }
 
-/// The coach shows all gestures, one after the other, from 2 s on.
+/// The coach shows all gestures, one after the other, from 2 s on; one finger points across the picture and away from the eyes.
 fn world(table: [u8; 3]) -> World {
     let show = |at, gesture, phase, offset, direction| CoachingStep {
         at,
@@ -213,7 +213,8 @@ fn networks_see_where_a_hand_is_and_points() {
         [(HandDetection::Skin, true), (HandDetection::Learned, true), (HandDetection::Learned, false)]
     {
         let mut world = world([120, 84, 60]);
-        world.camera.mounting_error.rotation_deg = [0.0; 3];
+        let mounting = &mut world.camera.mounting_error;
+        (mounting.rotation_deg, mounting.distance, mounting.angle_deg) = ([0.0; 3], 0.0, 0.0);
         world.camera.depth = world.camera.depth.filter(|_| has_depth);
         let Score { palms, pointing, .. } = watch(&world, 1, hands);
         assert!(palms.len() > 40 && pointing.len() > 20, "{} {}", palms.len(), pointing.len());

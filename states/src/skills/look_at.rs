@@ -66,7 +66,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         return in_view(&equipment, &mut head, &point);
     }
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let keep = context.number("keep")?;
+    let keep = context.number("keep")?.max(0.0);
     let (mut elapsed, mut reached_for) = (0.0, 0.0);
     loop {
         let (sample, dt) = senses.next().await?;

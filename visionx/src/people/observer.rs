@@ -61,7 +61,7 @@ impl BodyObserver {
                 self.left.forget();
             }
         }
-        // What is followed may move on into it, too.
+        // What is followed may move on into the robot, too.
         let joints = beside(own, self.follower.at(frame.stamp_ns));
         let is_known = joints.iter().any(Option::is_some) && self.shown >= SURE;
         is_known.then_some(BodyObservation { joints, confidence: self.confidence })
@@ -93,8 +93,8 @@ impl BodyObserver {
                 joints(&body, &Measured::Eyes(&right), &self.calibration)
             }
         };
-        let seen = beside(own, in_root(seen?, &frame.root_from_left));
-        is_person(&seen).then_some((body, seen))
+        let seen = in_root(seen?, &frame.root_from_left);
+        is_person(&seen).then(|| (body, beside(own, seen)))
     }
 }
 

@@ -26,7 +26,7 @@ const SHIFT: f64 = 0.1;
 /// How far the reported fingertip is beyond the last landmark, relative to the piece before it. That landmark is some 7 mm inside of the
 /// finger's end.
 const BEYOND: f64 = 0.12;
-/// The landmarks around the palm: its heel (the wrist, twice as wide as a knuckle), the base of the thumb and the four knuckles.
+/// The landmarks around the palm: its heel, which counts twice as it is the whole lower edge, the base of the thumb and the four knuckles.
 const PALM: [usize; 7] = [0, 0, 1, 5, 9, 13, 17];
 
 /// The joints of a hand: the wrist (0), then from its base to its tip the thumb (1 to 4), the index (5 to 8), middle (9 to 12), ring
@@ -92,7 +92,7 @@ impl HandLandmarks {
         Some(Square { center, side: SIDE * size.max(), down }).filter(|square| square.side >= 1.0)
     }
 
-    /// Centre and radius of the largest disc in the palm, px.
+    /// The middle of the palm, and about the radius of the largest disc in it, px.
     #[must_use]
     pub fn palm(&self) -> (Point2<f64>, f64) {
         // Seen from the side a palm is narrow, seen from its end it is short.
