@@ -55,7 +55,7 @@ enum By<'a> {
     /// The depth image shows the skin over the landmarks.
     Depth(&'a DepthImage),
     /// Both eyes see the landmarks themselves: those in the right image.
-    Eyes(HandLandmarks),
+    Eyes(Box<HandLandmarks>),
 }
 
 impl HandsByLandmarks {
@@ -73,7 +73,7 @@ impl HandsByLandmarks {
         let landmarks = &self.left.landmarks(&frame.left)?;
         let by = match frame.depth.as_deref() {
             Some(depth) => By::Depth(depth),
-            None => By::Eyes(self.right.landmarks(&frame.right)?),
+            None => By::Eyes(Box::new(self.right.landmarks(&frame.right)?)),
         };
         let mut hand = Hand { landmarks, calibration, by, depths: [None; HandLandmarks::COUNT], origin: 0.0 };
         hand.depths = std::array::from_fn(|i| hand.seen(i, |_| true));
