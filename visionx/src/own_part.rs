@@ -25,7 +25,8 @@ impl OwnPart {
     }
 
     /// The distance of a point (root frame) from it, m; 0 inside.
-    pub(crate) fn distance(&self, point: &Point3<f64>) -> f64 {
+    #[must_use]
+    pub fn distance(&self, point: &Point3<f64>) -> f64 {
         distance_from_box(point, &self.root_from_box, &self.size)
     }
 }

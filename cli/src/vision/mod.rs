@@ -16,7 +16,6 @@ use std::path::PathBuf;
 
 use armarium_visionx::HandDetection;
 use armarium_visionx::tracking::{GestureRecognizer, HandDetector, LearnedHandDetector, SkinHandDetector};
-use clap::ValueEnum as _;
 pub(crate) use look::color;
 
 use crate::failure::CommandFailure;
@@ -206,7 +205,7 @@ pub(crate) struct FiguresArgs {
 impl Detector {
     /// Its name on the command line.
     pub(crate) fn name(self) -> String {
-        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+        HandDetection::from(self).name().to_owned()
     }
 }
 

@@ -2,7 +2,6 @@
 //! robot that stands still, and with nobody.
 
 use armarium_robot::{Model, Visual};
-use armarium_values::distance_from_box;
 use armarium_visionx::{BodyJoint, BodyObserver, OwnPart};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -209,8 +208,7 @@ fn is_free(
 
 /// How far a place is from the nearest part of the robot, m.
 fn from_own(own: &[OwnPart], at: &Point3<f64>) -> f64 {
-    let from = |part: &OwnPart| distance_from_box(at, &part.root_from_box, &part.size);
-    own.iter().map(from).fold(f64::INFINITY, f64::min)
+    own.iter().map(|part| part.distance(at)).fold(f64::INFINITY, f64::min)
 }
 
 /// What the robot does with its arm meanwhile, and whether the observer knows its body.

@@ -110,12 +110,8 @@ impl Hand<'_> {
         radius: f64,
         counts: impl Fn(f64) -> bool,
     ) -> Option<f64> {
-        let is_inside = |at: i64, size: u32| (0..i64::from(size)).contains(&at);
-        let counts = |x: i64, y: i64| {
-            is_inside(x, depth.width)
-                && is_inside(y, depth.height)
-                && counts(f64::from(depth.at(x as u32, y as u32)))
-        };
+        // Beside the picture there is no depth, which counts for nothing.
+        let counts = |x: i64, y: i64| counts(f64::from(depth.at(x as u32, y as u32)));
         depth_about(depth, px, radius * self.landmarks.palm().1, counts)
     }
 
@@ -151,7 +147,7 @@ impl Hand<'_> {
         let points = hidden < HandObservation::HIDDEN && (1..=2).contains(&pointing.len());
         let fingertip = |(finger, score): &([usize; 4], f64)| {
             let px = self.landmarks.fingertip(*finger);
-            let [_, z] = self.reach(finger);
+            let [_, z] = self.finger_depths(finger);
             Fingertip { px, in_left: Some(self.at(&px, z)), score: *score }
         };
         Some(MeasuredHand {
@@ -176,16 +172,16 @@ impl Hand<'_> {
         hidden.count() as f64 / self.depths.len() as f64
     }
 
-    /// The depths of a stretched finger's second joint and of its tip, m. From joint to joint the depth changes by no more than their
-    /// distance; what changes more is before or behind the finger.
-    fn reach(&self, [_, joint, middle, tip]: &[usize; 4]) -> [f64; 2] {
+    /// The depths of a stretched finger's second joint and of its tip, m. From joint to joint the depth changes by hardly more than
+    /// their distance; what changes more is before or behind the finger.
+    fn finger_depths(&self, [_, joint, middle, tip]: &[usize; 4]) -> [f64; 2] {
         let in_hand = &self.landmarks.in_hand;
         let told = in_hand[*joint].z + self.origin;
         let begin = self.seen(*joint, |z| (z - told).abs() < ELSEWHERE).unwrap_or(told);
         let next = |z: f64, [from, to]: [usize; 2]| {
             let piece = in_hand[to] - in_hand[from];
-            let reach = LONGER * piece.norm();
-            self.seen(to, |at| (at - z).abs() < reach).unwrap_or(z + piece.z)
+            let farthest = LONGER * piece.norm();
+            self.seen(to, |at| (at - z).abs() < farthest).unwrap_or(z + piece.z)
         };
         [begin, next(next(begin, [*joint, *middle]), [*middle, *tip])]
     }
@@ -198,7 +194,7 @@ impl Hand<'_> {
     fn direction(&self, fingers: &[[usize; 4]]) -> Option<Vector3<f64>> {
         let mut sum = Vector3::zeros();
         for finger in fingers {
-            let [from, to] = self.reach(finger);
+            let [from, to] = self.finger_depths(finger);
             let [_, joint, _, tip] = finger.map(|i| &self.landmarks.points[i]);
             sum += (self.at(tip, to) - self.at(joint, from)).try_normalize(1e-6)?;
         }
