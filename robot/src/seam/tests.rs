@@ -4,41 +4,23 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_bus::{Reply, Session, SessionConfig};
-use tokio::task::JoinHandle;
-use tokio::time::{Instant, sleep, timeout};
+use armarium_bus::control::{ControlReader, ControlSender};
+use armarium_bus::{Key, Reply, Session, SessionConfig};
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
 
 use super::served::secret;
 use super::wire::{Keys, LeaseQuestion, LeaseRefused, Leased, RobotCommand, RobotState};
-use crate::driver::{DriverClock, DriverError, GuardedDriver};
 use crate::message::{read, written};
 use crate::planning::KnownBox;
 use crate::{
     Fault, Guard, GuardConfig, GuardedRobot, LeaseError, LeaseLimits, Load, Model, RemoteRobot, Robot,
-    RobotServer, ServoDriver, ServoJoints, conformance,
+    RobotServer, ServoJoints, conformance,
 };
 
 async fn linked(to: &Session) -> Session {
     let config = SessionConfig { listen: Vec::new(), ..SessionConfig::connected_to(&to.endpoints().await) };
     Session::open(&config).await.unwrap()
-}
-
-/// A robot whose time stays behind where the machine is busy.
-struct Served {
-    robot: Arc<dyn Robot>,
-    session: Session,
-    server: RobotServer,
-    moving: JoinHandle<Result<(), DriverError>>,
-}
-
-async fn serve(model: &Arc<Model>) -> Served {
-    let (guard, robot) = Guard::new(Arc::clone(model), GuardConfig::of(model));
-    let joints = ServoDriver::new(model, model.start(), DriverClock::Lockstep);
-    let moving = tokio::spawn(GuardedDriver::new(guard, joints).run(|_, _| true));
-    let session = Session::open(&SessionConfig::default()).await.unwrap();
-    let robot: Arc<dyn Robot> = robot;
-    let server = RobotServer::start(&session, ("lab", "arm"), Arc::clone(&robot)).await.unwrap();
-    Served { robot, session, server, moving }
 }
 
 async fn connect(session: &Session, model: &Arc<Model>) -> RemoteRobot {
@@ -47,62 +29,54 @@ async fn connect(session: &Session, model: &Arc<Model>) -> RemoteRobot {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn a_robot_in_another_session_keeps_every_rule() {
-    let model = Model::shipped("pillar7").unwrap();
-    let served = serve(&model).await;
-    let session = linked(&served.session).await;
-    let robot: Arc<dyn Robot> = Arc::new(connect(&session, &model).await);
-    conformance::check(&robot, &model.arms().next().unwrap().name).await.unwrap();
+    let mut far = Stepped::new().await;
+    let remote = Arc::new(connect(&far.near, &far.model).await);
+    let robot: Arc<dyn Robot> = Arc::<RemoteRobot>::clone(&remote);
+    let arm = far.arm();
+    let stepping = async {
+        loop {
+            far.seen_by(&remote).await;
+        }
+    };
+    // In one task, and the rules first: what they command at a sample is on its way before the sample counts as seen.
+    tokio::select! {
+        biased;
+        checked = conformance::check(&robot, &arm) => checked.unwrap(),
+        () = stepping => {}
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn a_lease_ends_with_its_holders_session_and_the_limb_stands() {
-    let model = Model::shipped("pillar7").unwrap();
-    let served = serve(&model).await;
-    let arm = model.arms().next().unwrap();
-    let session = linked(&served.session).await;
-    let robot = connect(&session, &model).await;
+    let mut far = Stepped::new().await;
+    let robot = connect(&far.near, &far.model).await;
+    let arm = far.model.arms().next().unwrap().clone();
     let lease = robot.lease(&arm.name, "test", LeaseLimits::default()).unwrap();
-    let mut sensed = robot.sensed();
-    let began = Instant::now();
-    while began.elapsed() < Duration::from_millis(300) {
+    for _ in 0..300 {
         lease.command(&vec![0.3; arm.joints.len()]).unwrap();
-        sensed.changed().await.unwrap();
+        far.seen_by(&robot).await;
     }
-    let own = served.robot;
-    let taken = own.lease(&arm.name, "another", LeaseLimits::default());
+    let taken = far.own.lease(&arm.name, "another", LeaseLimits::default());
     assert!(matches!(taken, Err(LeaseError::Taken { .. })), "{taken:?}");
     // Nothing is given back: the process is gone.
     std::mem::forget((lease, robot));
-    session.close().await.unwrap();
-    let mut seen = own.sensed();
-    let gone_ns = seen.borrow().stamp_ns;
-    let standing = loop {
-        seen.changed().await.unwrap();
-        let now = seen.borrow_and_update();
-        if arm.joints.iter().all(|&joint| now.velocity[joint].abs() < conformance::STANDING) {
-            break now.stamp_ns - gone_ns;
-        }
-    };
-    assert!(standing < conformance::STANDING_WITHIN_NS, "{standing} ns");
-    let free = timeout(Duration::from_secs(2), async {
-        while own.lease(&arm.name, "another", LeaseLimits::default()).is_err() {
-            sleep(Duration::from_millis(5)).await;
-        }
-    });
-    free.await.unwrap();
+    far.near.close().await.unwrap();
+    (0..conformance::STANDING_WITHIN_NS / 1_000_000).for_each(|_| far.step());
+    let velocity = &far.joints.sample().velocity;
+    assert!(arm.joints.iter().all(|&joint| velocity[joint].abs() < conformance::STANDING), "{velocity:?}");
+    while far.own.lease(&arm.name, "another", LeaseLimits::default()).is_err() {
+        sleep(Duration::from_millis(5)).await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn a_robot_that_is_lost_is_so_with_a_reason() {
-    let model = Model::shipped("pillar7").unwrap();
-    let Served { session, server, moving, .. } = serve(&model).await;
-    let other = linked(&session).await;
-    let robot = connect(&other, &model).await;
+    let mut far = Stepped::new().await;
+    let robot = connect(&far.near, &far.model).await;
+    far.seen_by(&robot).await;
     let mut sensed = robot.sensed();
-    sensed.changed().await.unwrap();
-    let lease = robot.lease(&model.arms().next().unwrap().name, "test", LeaseLimits::default()).unwrap();
-    moving.abort();
-    drop(server);
+    let lease = robot.lease(&far.arm(), "test", LeaseLimits::default()).unwrap();
+    drop(far.server);
     while sensed.changed().await.is_ok() {}
     assert_eq!(robot.lost().unwrap(), "the robot `lab/arm` is lost: it has sent no state for 700 ms");
     let Some(Fault::Stopped { reason }) = lease.fault() else { panic!("{:?}", lease.fault()) };
@@ -112,11 +86,9 @@ async fn a_robot_that_is_lost_is_so_with_a_reason() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn another_robot_of_the_name_is_refused() {
-    let model = Model::shipped("pillar7").unwrap();
-    let served = serve(&model).await;
-    let session = linked(&served.session).await;
+    let far = Stepped::new().await;
     let armar = Model::shipped("armar3").unwrap();
-    let refused = RemoteRobot::connect(&session, ("lab", "arm"), &armar, "test").await;
+    let refused = RemoteRobot::connect(&far.near, ("lab", "arm"), &armar, "test").await;
     let error = refused.map(drop).unwrap_err().to_string();
     assert!(
         error.contains("it is not the robot `armar3` as this process knows it: it has another name"),
@@ -124,7 +96,7 @@ async fn another_robot_of_the_name_is_refused() {
     );
 }
 
-/// A robot in another session whose guard a test steps.
+/// A robot in another session whose guard a test steps, in its own time: a machine that is busy delays nothing in it.
 struct Stepped {
     model: Arc<Model>,
     guard: Guard,
@@ -132,6 +104,12 @@ struct Stepped {
     own: Arc<GuardedRobot>,
     server: RobotServer,
     session: Session,
+    /// The session of the commander's side.
+    near: Session,
+    /// Told from there after each sample, by the same way as commands and after them.
+    told: ControlSender,
+    heard: watch::Receiver<u64>,
+    _hears: ControlReader,
     stamp_ns: u64,
 }
 
@@ -143,7 +121,16 @@ impl Stepped {
         let shared: Arc<dyn Robot> = Arc::<GuardedRobot>::clone(&own);
         let server = RobotServer::start(&session, ("lab", "arm"), shared).await.unwrap();
         let joints = ServoJoints::new(&model, model.start(), 0);
-        Self { model, guard, joints, own, server, session, stamp_ns: 0 }
+        let near = linked(&session).await;
+        let key = Key::parse("armarium/lab/test/told").unwrap();
+        let told = near.control_sender(&key, "test").await.unwrap();
+        let (hear, heard) = watch::channel(0);
+        let hears = session.control_reader(key, move |message| {
+            let stamp_ns = u64::from_le_bytes(message.payload.try_into().unwrap());
+            hear.send_replace(stamp_ns);
+        });
+        let _hears = hears.await.unwrap();
+        Self { model, guard, joints, own, server, session, near, told, heard, _hears, stamp_ns: 0 }
     }
 
     fn step(&mut self) {
@@ -151,13 +138,21 @@ impl Stepped {
         self.joints.step(self.guard.step(self.stamp_ns, self.joints.sample()), &[], 1e-3);
     }
 
-    /// Steps until the robot over there has sensed the newest sample.
+    /// Steps until the robot over there has sensed the newest sample, and what was commanded until then has come.
     async fn seen_by(&mut self, robot: &RemoteRobot) {
         let mut sensed = robot.sensed();
         loop {
             self.step();
-            let _ = timeout(Duration::from_millis(100), sensed.changed()).await;
-            if sensed.borrow().stamp_ns == self.stamp_ns {
+            let stamp_ns = self.stamp_ns;
+            let seen = async {
+                while sensed.borrow_and_update().stamp_ns != stamp_ns {
+                    sensed.changed().await.unwrap();
+                }
+                self.told.send(stamp_ns.to_le_bytes().into()).unwrap();
+                self.heard.wait_for(|&heard_ns| heard_ns == stamp_ns).await.unwrap();
+            };
+            // Either message may be lost.
+            if timeout(Duration::from_millis(100), seen).await.is_ok() {
                 return;
             }
         }
@@ -171,7 +166,7 @@ impl Stepped {
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn why_a_driver_was_lost_is_told_to_all_and_leases_are_refused_with_it() {
     let mut far = Stepped::new().await;
-    let session = linked(&far.session).await;
+    let session = far.near.clone();
     let robot = connect(&session, &far.model).await;
     let lease = robot.lease(&far.arm(), "test", LeaseLimits::default()).unwrap();
     far.seen_by(&robot).await;
@@ -205,7 +200,7 @@ async fn why_a_driver_was_lost_is_told_to_all_and_leases_are_refused_with_it() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn states_that_are_none_of_the_robot_are_passed_over_until_no_other_comes() {
     let mut far = Stepped::new().await;
-    let session = linked(&far.session).await;
+    let session = far.near.clone();
     let key = Keys::of("lab", "arm").unwrap().state;
     let reasons = [
         "its guard was started again, or there are two of the name",
@@ -249,7 +244,7 @@ async fn states_that_are_none_of_the_robot_are_passed_over_until_no_other_comes(
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn a_lease_is_a_secret_that_nobody_else_sees_and_a_second_after_its_fault_its_limbs_are_free() {
     let mut far = Stepped::new().await;
-    let session = linked(&far.session).await;
+    let session = far.near.clone();
     let robot = connect(&session, &far.model).await;
     let (model, arm) = (Arc::clone(&far.model), far.arm());
     let lease = robot.lease(&arm, "test", LeaseLimits::default()).unwrap();
@@ -279,7 +274,7 @@ async fn a_lease_is_a_secret_that_nobody_else_sees_and_a_second_after_its_fault_
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn names_without_end_and_lengths_that_nothing_has_are_refused() {
     let mut far = Stepped::new().await;
-    let session = linked(&far.session).await;
+    let session = far.near.clone();
     let robot = connect(&session, &far.model).await;
     far.seen_by(&robot).await;
     let (arm, long) = (far.arm(), "x".repeat(101));
@@ -315,7 +310,7 @@ async fn names_without_end_and_lengths_that_nothing_has_are_refused() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn somebody_else_changes_the_speed_while_an_arm_moves() {
     let mut far = Stepped::new().await;
-    let session = linked(&far.session).await;
+    let session = far.near.clone();
     let robot = connect(&session, &far.model).await;
     let other = connect(&session, &far.model).await;
     far.seen_by(&robot).await;
@@ -342,7 +337,7 @@ async fn somebody_else_changes_the_speed_while_an_arm_moves() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
 async fn commands_that_are_old_foreign_or_not_understood_move_nothing() {
     let mut far = Stepped::new().await;
-    let session = linked(&far.session).await;
+    let session = far.near.clone();
     let robot = connect(&session, &far.model).await;
     far.seen_by(&robot).await;
     let (arm, n) = (far.arm(), far.model.limb(&far.arm()).len());
