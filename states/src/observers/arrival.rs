@@ -23,10 +23,14 @@ const GONE_AFTER: f64 = 1.5;
 #[derive(Debug, Default)]
 pub(super) struct Arrival {
     smooth: Option<Vector3<f64>>,
+    /// When it was seen last, ns.
     seen_ns: u64,
+    /// Where it was then, and the phase.
+    seen: Option<(Vector3<f64>, Option<f64>)>,
     /// Whether the hand has been seen moving. If it was at rest when first seen, its time of arrival is unknown.
     moved: bool,
-    /// Since when it rests (ns), and the phase at that time.
+    /// Since when it rests (ns), and the phase at that time. What is hidden for a while and then still in its place has rested since
+    /// it was seen last.
     stands: Option<(u64, Option<f64>)>,
     /// The place where it has arrived, and the phase at that time.
     place: Option<(Vector3<f64>, Option<f64>)>,
@@ -54,13 +58,17 @@ impl Arrival {
         if unseen > GONE_AFTER {
             *self = Self::default();
         }
+        let phase = motion.map(|(phase, _)| phase);
+        let before = self.seen.replace((palm, phase)).filter(|_| unseen > SMOOTHING);
+        let before = before.filter(|(last, _)| (palm - last).norm() < MIN_MOTION);
+        let from = before.map_or((stamp_ns, phase), |(_, phase)| (self.seen_ns, phase));
         self.seen_ns = stamp_ns;
         let share = 1.0 - libm::exp(-unseen / SMOOTHING);
         let smooth = self.smooth.map_or(palm, |old| old + (palm - old) * share);
         self.smooth = Some(smooth);
         let period = motion.map_or(0.0, |(_, frequency)| 1.0 / frequency.max(0.05));
         self.leave(stamp_ns, &smooth, ELSEWHERE_TIMES.0.max(ELSEWHERE_TIMES.1 * period));
-        self.stand(stamp_ns, (palm - smooth).norm() > MIN_MOTION, motion.map(|(phase, _)| phase));
+        self.stand(stamp_ns, (palm - smooth).norm() > MIN_MOTION, from);
         self.came()
     }
 
@@ -81,12 +89,13 @@ impl Arrival {
         }
     }
 
-    fn stand(&mut self, now: u64, moves: bool, phase: Option<f64>) {
+    /// If it rests and did not before, it has done so since `from`, a time (ns) and the phase at it.
+    fn stand(&mut self, now: u64, moves: bool, from: (u64, Option<f64>)) {
         if moves {
             (self.stands, self.moved) = (None, true);
             return;
         }
-        let (since, then) = *self.stands.get_or_insert((now, phase));
+        let (since, then) = *self.stands.get_or_insert(from);
         if let (None, Some(at)) = (self.place, self.smooth)
             && seconds(since, now) >= REST_TIME
         {
@@ -135,6 +144,13 @@ mod tests {
         assert_eq!(came[40], came[110]);
         let again = watch(8.0, |t| Some(coming(t) + 0.35 - coming(t - 4.0)));
         assert!((again[115].unwrap() - 10.0).abs() < 2.5, "{again:?}");
+    }
+
+    #[test]
+    fn a_hand_that_is_hidden_as_soon_as_it_stops_came_then_and_not_when_it_is_seen_again() {
+        let came = watch(4.0, |t| (!(0.95..1.8).contains(&t)).then(|| coming(t)));
+        let came = came.last().unwrap().unwrap();
+        assert!((came - 2.0).abs() < 0.4, "{came}");
     }
 
     #[test]
