@@ -83,7 +83,7 @@ pub use periodic::{
     PhaseSample,
 };
 pub use planar_turn::planar_turn;
-pub use rigid_fit::{RigidFit, rigid_fit};
+pub use rigid_fit::{RigidFit, rigid_fit, rigid_fit_held};
 pub use segment::{Demonstration, DemonstrationSegmenter, DemonstrationStage, SegmenterConfig, Swipe};
 pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus, in_step};
 pub use shared_load::{

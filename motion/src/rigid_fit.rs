@@ -20,6 +20,12 @@ pub struct RigidFit {
     pub angle_sigma: f64,
 }
 
+/// The least turn of carriers about their second axis, as the spread of the points that they would move, m per m.
+const LEAST_TURN: f64 = 0.1;
+/// How often both unknowns are improved at most, and a step after which no more is gained, m.
+const MOST_TURNS: usize = 2000;
+const SETTLED: f64 = 1e-8;
+
 /// Fits `target ~ R source + t` to pairs of points, m.
 ///
 /// # Errors
@@ -70,6 +76,52 @@ pub fn rigid_fit(source: &[Point3<f64>], target: &[Point3<f64>]) -> Result<Rigid
     })
 }
 
+/// Fits `R source + t ~ carrier point` for a point that its carriers hold at one unknown place, m: the transform and that point in the
+/// carriers' frame, searched from `start`.
+///
+/// # Errors
+/// Those of [`rigid_fit`]; [`MotionError::Degenerate`] when the carriers turn by too little, or about one axis only: then where the point
+/// is along it cannot be told from `t`.
+///
+/// # Source
+/// Coordinate descent: both unknowns by turns, each in closed form, the transform as in [`rigid_fit`] and the point as a mean. No step
+/// makes the sum of squares larger.
+pub fn rigid_fit_held(
+    source: &[Point3<f64>],
+    carriers: &[Isometry3<f64>],
+    start: &Point3<f64>,
+) -> Result<(RigidFit, Point3<f64>), MotionError> {
+    size("carriers", source.len(), carriers.len())?;
+    let turns = |carrier: &Isometry3<f64>| carrier.rotation.to_rotation_matrix().into_inner();
+    let n = carriers.len().max(1) as f64;
+    let mean = carriers.iter().map(turns).sum::<Matrix3<f64>>() / n;
+    let apart = |carrier: &Isometry3<f64>| (turns(carrier) - mean).tr_mul(&(turns(carrier) - mean));
+    let varied = carriers.iter().map(apart).sum::<Matrix3<f64>>() / n;
+    finite("carrier", varied.as_slice())?;
+    if principal_spread(&varied)[2] < LEAST_TURN {
+        return Err(MotionError::Degenerate {
+            what: "carriers",
+            why: "they turn about one axis only, or hardly",
+        });
+    }
+    let mut point = *start;
+    for _ in 0..MOST_TURNS {
+        let targets: Vec<Point3<f64>> = carriers.iter().map(|carrier| carrier * point).collect();
+        let fit = rigid_fit(source, &targets)?;
+        let seen = |(s, carrier): (&Point3<f64>, &Isometry3<f64>)| {
+            (carrier.inverse() * (fit.target_from_source * s)).coords
+        };
+        let better = Point3::from(source.iter().zip(carriers).map(seen).sum::<Vector3<f64>>() / n);
+        let step = (better - point).norm();
+        point = better;
+        if step < SETTLED {
+            break;
+        }
+    }
+    let targets: Vec<Point3<f64>> = carriers.iter().map(|carrier| carrier * point).collect();
+    Ok((rigid_fit(source, &targets)?, point))
+}
+
 fn principal_spread(covariance: &Matrix3<f64>) -> [f64; 3] {
     let mut values: Vec<f64> = covariance.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
     values.sort_by(|a, b| b.total_cmp(a));
@@ -107,6 +159,39 @@ mod tests {
             prop_assert!(fit.rms < 1e-12);
             prop_assert!(fit.target_from_source.rotation.angle_to(&truth.rotation) < 1e-7);
         }
+    }
+
+    /// Where a hand went: places in a workspace, turned by up to half a radian about `axes` axes.
+    fn carriers(axes: usize) -> Vec<Isometry3<f64>> {
+        let at = |k: usize, d: usize| 0.1 * libm::sin((3 * k + d) as f64 * (1.3 + d as f64));
+        let turn = |k: usize| Vector3::from_fn(|d, _| if d < axes { 5.0 * at(k, d + 3) } else { 0.0 });
+        (0..8).map(|k| Isometry3::new(Vector3::from_fn(|d, _| 0.5 + at(k, d)), turn(k))).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn a_tool_in_the_hand_gives_the_transform_and_its_place_in_the_hand(
+            t in prop::array::uniform3(-0.1..0.1_f64), r in prop::array::uniform3(-0.2..0.2_f64),
+            held in prop::array::uniform3(-0.1..0.1_f64)
+        ) {
+            let (truth, held) = (Isometry3::new(Vector3::from(t), Vector3::from(r)), Point3::from(held));
+            let carriers = carriers(3);
+            let seen: Vec<_> = carriers.iter().map(|carrier| truth.inverse() * (carrier * held)).collect();
+            let (fit, found) = rigid_fit_held(&seen, &carriers, &Point3::origin()).unwrap();
+            prop_assert!((found - held).norm() < 1e-4, "{found}");
+            prop_assert!(fit.rms < 1e-5 && fit.target_from_source.rotation.angle_to(&truth.rotation) < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_hand_that_turns_about_one_axis_does_not_tell_where_its_tool_is() {
+        for axes in [0, 1] {
+            let carriers = carriers(axes);
+            let seen: Vec<_> = carriers.iter().map(|carrier| carrier * Point3::new(0.0, 0.0, 0.1)).collect();
+            let refused = rigid_fit_held(&seen, &carriers, &Point3::origin());
+            assert!(matches!(refused, Err(MotionError::Degenerate { .. })), "{refused:?}");
+        }
+        assert!(rigid_fit_held(&[], &[], &Point3::origin()).is_err());
     }
 
     #[test]

@@ -46,7 +46,7 @@ const WRENCH: &[&str] = &[
 const TWO_ARMS: &[&str] =
     &["SqueezeTogether", "BimanualVisualServo", "CarryTogether", "LearnTogether", "PutDownTogether"];
 const PRESS: &[&str] = &["SqueezeTogether", "CarryTogether", "LearnTogether", "PutDownTogether"];
-const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose", "BimanualVisualServo"];
+const MARKER: &[&str] = &["VisualServoTowardsTargetPose", "BimanualVisualServo"];
 const CAMERAS: &[&str] = &[
     "LocateObject",
     "CalibrateHandEye",

@@ -5,6 +5,7 @@
 mod access;
 mod around;
 mod both_hands;
+mod calibration;
 mod carrying;
 mod circles;
 mod conformance;

@@ -1,21 +1,24 @@
-//! `CalibrateHandEye`: finds the true pose of the cameras by observing the marker on the robot's own hand.
+//! `CalibrateHandEye`: finds the true pose of the cameras by observing the marker on the robot's own hand, or a tool in it.
 //!
 //! The hand moves to several places over where the arm works. At each one, the marker's position is measured by the camera,
 //! and computed for the camera pose that is known so far. Both point sets give what is left of its error (least squares, Arun et
-//! al.).
+//! al.). How a tool lies in the hand is not known before: the hand also turns, and that is found with the rest.
 
-use armarium_motion::rigid_fit;
-use armarium_robot::Marker;
+use armarium_memoryx::ObjectClass;
+use armarium_motion::{RigidFit, rigid_fit, rigid_fit_held};
+use armarium_robot::{Limb, LinkId, Marker};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit};
-use nalgebra::{Isometry3, Point3, Vector3};
+use armarium_values::{Observation, Type, Unit};
+use armarium_visionx::{ObjectLocalizer, ObjectStep, StereoStep};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
-use crate::arm::{LeasedArm, Senses, moves_the_arm, workspace};
+use crate::arm::{LeasedArm, Senses, moves_the_arm, tcp_of, workspace};
 use crate::equipment::{self, Equipment};
-use crate::grasp::{hand, marker};
+use crate::grasp::{hand, held_in_tcp, marker};
 use crate::hand_eye::Mounting;
 use crate::inputs::{Inputs, seen_at};
 use crate::motions::failed;
+use crate::prior::object_class;
 use crate::surface::from_level;
 
 /// Places relative to the middle, m: spread in all three directions, the third one out of what the hand faces where it works.
@@ -28,11 +31,27 @@ const PLACES: [[f64; 3]; 6] = [
     [0.00, 0.01, -0.04],
 ];
 
+/// Places at which a tool is shown, and how the hand is turned there, rad: about what it faces, and tilted forward and to the left. They
+/// are more and further apart, as where the tool is in the hand is sought, too.
+const PLACES_OF_TOOL: [([f64; 3], [f64; 3]); 9] = [
+    ([-0.11, -0.07, 0.00], [0.5, 0.0, 0.25]),
+    ([0.10, -0.08, 0.05], [-0.5, 0.25, 0.0]),
+    ([0.11, 0.06, -0.02], [0.3, -0.25, 0.0]),
+    ([-0.10, 0.08, 0.07], [-0.3, 0.0, -0.25]),
+    ([0.00, 0.00, 0.12], [0.0, 0.2, 0.2]),
+    ([0.00, 0.01, -0.04], [0.0, -0.2, 0.2]),
+    ([-0.11, 0.06, 0.10], [0.4, -0.2, 0.0]),
+    ([0.11, 0.00, 0.10], [-0.4, 0.0, -0.2]),
+    ([0.00, -0.10, 0.10], [0.0, 0.25, -0.2]),
+];
+
 /// From the middle of the arm's workspace to the middle of the places, m.
 const OVER_WORKSPACE: [f64; 3] = [0.0, -0.01, 0.15];
 /// Places that are enough, and a residual of the fit with which none is left out, m.
 const ENOUGH: usize = 4;
 const GOOD: f64 = 0.004;
+/// A tool is within this of where hands hold things, m, also where the cameras are not calibrated yet.
+const IN_HAND: f64 = 0.1;
 /// Frames that are averaged at each place.
 const FRAMES: usize = 5;
 
@@ -40,6 +59,12 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     let manifest = SkillManifest::new(
         "CalibrateHandEye",
         "Looks at its own hand in several places and corrects where the cameras look.",
+    )
+    .optional(
+        "tool",
+        Type::String,
+        "",
+        "What the hand holds and shows, a class of prior knowledge; empty: the marker on the hand.",
     )
     .optional(
         "center",
@@ -58,6 +83,100 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
+/// What is looked at: the marker on the hand, or a tool that the hand holds.
+enum Sought {
+    Marker(Marker),
+    /// Where hands hold things, which is not exactly where it is, and how the TCP stands with the palm down.
+    Tool {
+        class: ObjectClass,
+        tcp: LinkId,
+        held: Point3<f64>,
+        palm_down: UnitQuaternion<f64>,
+    },
+}
+
+impl Sought {
+    async fn of(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
+        let model = equipment.robot.model();
+        let tool = context.text("tool")?;
+        if tool.is_empty() {
+            return Ok(Self::Marker(marker(model, arm)?));
+        }
+        let (class, hand) = (object_class(&*equipment.memory, tool).await?, hand(model, arm)?);
+        let (held, palm_down) = (held_in_tcp(hand), hand.palm_down(0.0));
+        Ok(Self::Tool { class, tcp: tcp_of(arm)?, held, palm_down })
+    }
+
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Marker(_) => "marker on the hand",
+            Self::Tool { .. } => "tool in the hand",
+        }
+    }
+
+    /// What else it must be.
+    fn must_be(&self) -> &'static str {
+        match self {
+            Self::Marker(_) => "it in its place",
+            Self::Tool { .. } => "enough of it to be seen beside the hand",
+        }
+    }
+
+    /// Where it is shown, relative to the middle of the places, m, and how the hand is turned there, rad.
+    fn places(&self) -> Vec<([f64; 3], [f64; 3])> {
+        match self {
+            Self::Marker(_) => PLACES.map(|place| (place, [0.0; 3])).to_vec(),
+            Self::Tool { .. } => PLACES_OF_TOOL.to_vec(),
+        }
+    }
+
+    /// The link that carries it.
+    fn link(&self) -> LinkId {
+        match self {
+            Self::Marker(marker) => marker.link,
+            Self::Tool { tcp, .. } => *tcp,
+        }
+    }
+
+    /// What finds it in the pictures, with its link standing still at a pose. A tool was level when it was taken with the palm down.
+    fn step(&self, equipment: &Equipment, root_from_link: &Isometry3<f64>) -> Vec<Box<dyn StereoStep>> {
+        match self {
+            Self::Marker(marker) => {
+                vec![Box::new(equipment.track(marker.color, Some(marker.diameter), SOUGHT))]
+            }
+            Self::Tool { class, palm_down, .. } => {
+                let level = root_from_link.rotation * palm_down.inverse();
+                let box_of = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
+                vec![Box::new(ObjectStep::new(box_of.standing_on(level), SOUGHT))]
+            }
+        }
+    }
+
+    /// Whether an observation is of it, and shows enough of it: a marker is seen whole, a tool where it is expected.
+    fn is_seen(&self, seen: &Observation, at: &Point3<f64>, root_from_link: &Isometry3<f64>) -> bool {
+        match self {
+            Self::Marker(_) => seen.confidence > 0.5,
+            Self::Tool { held, .. } => (root_from_link * held - at).norm() < IN_HAND,
+        }
+    }
+
+    /// The fit, and where on its link it is.
+    fn fit(
+        &self,
+        seen: &[Point3<f64>],
+        links: &[Isometry3<f64>],
+    ) -> Result<(RigidFit, Point3<f64>), Failure> {
+        match self {
+            Self::Marker(_) => {
+                let expected: Vec<Point3<f64>> =
+                    links.iter().map(|link| link.translation.vector.into()).collect();
+                Ok((rigid_fit(seen, &expected).map_err(failed)?, Point3::origin()))
+            }
+            Self::Tool { held, .. } => rigid_fit_held(seen, links, held).map_err(failed),
+        }
+    }
+}
+
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = LeasedArm::take(&equipment, &context, &[]).await?;
     let model = equipment.robot.model();
@@ -67,36 +186,40 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let over_workspace = works.translation.vector + facing * Vector3::from(OVER_WORKSPACE);
     let center = context.vector_if_given("center")?.unwrap_or(over_workspace);
     let yaw = model.side_of(&arm.limb) * context.number("yaw")?;
-    let palm = facing * hand.palm_down(yaw);
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let marker = marker(model, &arm.limb)?;
+    let sought = Sought::of(&equipment, &context, &arm.limb).await?;
     // The mounting through which everything is seen now.
     let known = Mounting::load(&*equipment.memory, &equipment.agent).await?;
-    let (mut seen, mut expected) = (Vec::new(), Vec::new());
-    for place in PLACES {
-        let tcp = Isometry3::from_parts((center + facing * Vector3::from(place)).into(), palm);
+    let (mut seen, mut links) = (Vec::new(), Vec::new());
+    let places = sought.places();
+    for (place, [about, forward, left]) in &places {
+        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(*forward, *left, 0.0));
+        let palm = facing * tilt * hand.palm_down(yaw + about);
+        let tcp = Isometry3::from_parts((center + facing * Vector3::from(*place)).into(), palm);
         arm.go(&mut senses, tcp, 0.2, |_| Ok(())).await?;
-        if let Some((is, should)) = look(&equipment, &marker, &mut arm, &mut senses).await? {
+        if let Some((is, link)) = look(&equipment, &sought, &mut arm, &mut senses).await? {
             seen.push(is);
-            expected.push(should);
+            links.push(link);
         }
     }
     if seen.len() < ENOUGH {
         return Err(Failure::new(format!(
-            "the marker on the hand was seen in {} of {} places; do both cameras work, and is the light on?",
+            "the {} was seen in {} of {} places; do both cameras work, is the light on, and is {}?",
+            sought.name(),
             seen.len(),
-            PLACES.len()
+            places.len(),
+            sought.must_be()
         )));
     }
-    let mut fit = rigid_fit(&seen, &expected).map_err(failed)?;
-    // Where the hand hides a part of the marker, that is seen beside its place.
+    let (mut fit, mut place) = sought.fit(&seen, &links)?;
+    // Where the hand hides a part of it, it is seen beside its place.
     while fit.rms > GOOD && seen.len() > ENOUGH {
-        let off = |i: usize| (fit.target_from_source * seen[i] - expected[i]).norm();
+        let off = |i: usize| (fit.target_from_source * seen[i] - links[i] * place).norm();
         let worst = (0..seen.len()).max_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0);
         seen.remove(worst);
-        expected.remove(worst);
-        fit = rigid_fit(&seen, &expected).map_err(failed)?;
+        links.remove(worst);
+        (fit, place) = sought.fit(&seen, &links)?;
     }
     if fit.rms > largest {
         return Err(Failure::new(format!(
@@ -110,33 +233,37 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("residual", fit.rms))
 }
 
-/// The class under which the processor observes the marker.
-const MARKER: &str = "marker";
+/// The class under which the processor observes it.
+const SOUGHT: &str = "sought";
 
-/// The marker's position in the left camera's frame, as seen and as computed from the joints of arm and head; the mean of
-/// several frames with the hand at rest.
+/// The position in the left camera's frame, as seen, and there the pose of its link as computed from the joints of arm and head; the
+/// mean of several frames with the hand at rest.
 async fn look(
     equipment: &Equipment,
-    marker: &Marker,
+    sought: &Sought,
     arm: &mut LeasedArm,
     senses: &mut Senses,
-) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
-    let mut sight = equipment.look(equipment.track(marker.color, Some(marker.diameter), MARKER));
-    let (mut seen, mut expected, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
+) -> Result<Option<(Point3<f64>, Isometry3<f64>)>, Failure> {
+    let standing = equipment.robot.model().link_pose(&senses.newest().position, sought.link());
+    let mut sight = equipment.look(sought.step(equipment, &standing));
+    let (mut seen, mut link, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
+    let mut rotation = UnitQuaternion::identity();
     while count < FRAMES && waited < 1.5 {
         let (sample, dt) = senses.next().await?;
         waited += dt;
         arm.hold(&sample)?;
         let Some(frame) = sight.newest().map_err(failed)? else { continue };
-        let well_seen = frame.of_class(MARKER).filter(|marker| marker.confidence > 0.5);
-        if let Some(at) = well_seen.and_then(seen_at) {
+        let root_from_link = equipment.link_at(sought.link(), frame.stamp_ns)?;
+        let found = frame.of_class(SOUGHT).and_then(|found| Some((found, seen_at(found)?)));
+        if let Some((_, at)) = found.filter(|(found, at)| sought.is_seen(found, at, &root_from_link)) {
             let left_from_root = frame.root_from_left.inverse();
-            let should = equipment.link_at(marker.link, frame.stamp_ns)?.translation.vector;
+            let left_from_link = left_from_root * root_from_link;
             seen += (left_from_root * at).coords;
-            expected += (left_from_root * Point3::from(should)).coords;
+            link += left_from_link.translation.vector;
+            rotation = left_from_link.rotation;
             count += 1;
         }
     }
-    let mean = |sum: Vector3<f64>| Point3::from(sum / count as f64);
-    Ok((count >= 2).then(|| (mean(seen), mean(expected))))
+    let n = count as f64;
+    Ok((count >= 2).then(|| (Point3::from(seen / n), Isometry3::from_parts((link / n).into(), rotation))))
 }

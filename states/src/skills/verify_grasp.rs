@@ -1,5 +1,6 @@
 //! `VerifyGrasp`: checks that the hand holds the object: by aperture, vision and weight.
 
+use armarium_memoryx::ObjectClass;
 use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
@@ -22,6 +23,8 @@ const HELD: &str = "held";
 const MIN_APERTURE: f64 = 0.02;
 /// Largest distance of the detected object from its place in the hand, m.
 const IN_HAND: f64 = 0.08;
+/// What sticks out of the hand by more than this on a side, m, may be all that is seen of the object.
+const STICKS_OUT: f64 = 0.05;
 /// A detection farther than this from the height at which the object stood is not on the table, m.
 const ON_TABLE: f64 = 0.1;
 /// The least share of the expected weight that must be measured.
@@ -65,7 +68,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
     let surface = ContactPlane::under(equipment.remembered(), &stood).await?;
-    let nearest = look(&equipment, &mut arm, &mut senses, class.color, (&held, &surface, &stood)).await?;
+    let nearest = look(&equipment, &mut arm, &mut senses, &class, (&held, &surface, &stood)).await?;
     judge(nearest, object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
@@ -106,18 +109,19 @@ fn judge(nearest: f64, name: &str, weight_is_known: bool) -> Result<(), Failure>
 
 /// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height of `stood`
 /// over the surface on which it stood. Detections above or below that are ignored: they are the arm, or two parts of the object
-/// matched as one. Returns the least distance from its place in the hand, m; infinite if it was not detected.
+/// matched as one. Returns the least distance of it, or of its nearer end, from its place in the hand, m; infinite if it was not detected.
 async fn look(
     equipment: &Equipment,
     arm: &mut LeasedArm,
     senses: &mut Senses,
-    color: [u8; 3],
+    class: &ObjectClass,
     (held_in_tcp, surface, stood): (&Point3<f64>, &ContactPlane, &Point3<f64>),
 ) -> Result<f64, Failure> {
     let (hand, held) = (equipment.clone(), *held_in_tcp);
     let tcp = tcp_of(&arm.limb)?;
     let in_hand = move |stamp_ns| Some(hand.link_at(tcp, stamp_ns).ok()? * held);
-    let mut sight = equipment.look(equipment.track(color, None, HELD).expected_at(in_hand.clone()));
+    let mut sight = equipment.look(equipment.track(class.color, None, HELD).expected_at(in_hand.clone()));
+    let ends = (Vector3::from(class.size).max() / 2.0 - STICKS_OUT).max(0.0);
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {
         let (sample, dt) = senses.next().await?;
@@ -127,7 +131,9 @@ async fn look(
         let Some((at, held)) = frame.of_class(HELD).and_then(seen_at).zip(in_hand(frame.stamp_ns)) else {
             continue;
         };
-        let away = (at - held).norm();
+        let up = surface.above(&at) - surface.above(&held);
+        let beside = ((at - held).norm_squared() - up * up).max(0.0).sqrt();
+        let away = libm::hypot((beside - ends).max(0.0), up);
         if away < IN_HAND || (surface.above(&at) - surface.above(stood)).abs() < ON_TABLE {
             nearest = nearest.min(away);
         }
