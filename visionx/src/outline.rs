@@ -1,6 +1,6 @@
 //! Silhouettes of convex bodies in an image, and how much of them a mask covers.
 
-use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector2, Vector3};
 
 use crate::camera::PinholeCamera;
 use crate::frame::RgbImage;
@@ -86,6 +86,16 @@ impl ConvexOutline {
     /// Area, px^2.
     pub(crate) fn area(&self) -> f64 {
         area(&self.corners)
+    }
+
+    /// Centroid, px.
+    pub(crate) fn centroid(&self) -> Point2<f64> {
+        let next = self.corners.iter().cycle().skip(1);
+        let parts =
+            self.corners.iter().zip(next).map(|(a, b)| ((a.coords + b.coords), a.coords.perp(&b.coords)));
+        let (sum, twice) =
+            parts.fold((Vector2::zeros(), 0.0), |(sum, all), (ab, area)| (sum + ab * area, all + area));
+        Point2::from(sum / (3.0 * twice))
     }
 
     /// Area of what is in a camera's picture, px^2: clipped at its four borders (Sutherland and Hodgman 1974).

@@ -286,6 +286,12 @@ impl MarkerStep {
         Self { tracking, class: class.into(), expected: None, last: None }
     }
 
+    /// The same for a level box of these edge lengths, m ([`ColorMarkerObjectTracking::of_level_box`]).
+    #[must_use]
+    pub fn of_level_box(self, size: impl Into<Vector3<f64>>) -> Self {
+        Self { tracking: self.tracking.of_level_box(size), ..self }
+    }
+
     /// The same for a thing that is expected at a place: among several of its colour, the nearest one is followed.
     #[must_use]
     pub fn expected_at(mut self, place: impl Fn(u64) -> Option<Point3<f64>> + Send + 'static) -> Self {

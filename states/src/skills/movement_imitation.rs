@@ -74,7 +74,8 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<(Swipe, 
     let diameter = class.size.iter().sum::<f64>() / 3.0;
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
     let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
-    let mut sight = equipment.look(equipment.track(class.color, Some(diameter), marker));
+    let mut sight =
+        equipment.look(equipment.track(class.color, Some(diameter), marker).of_level_box(class.size));
     let mut senses = Senses::new(&*equipment.robot, context);
     equipment.robot.say(REQUEST);
     let (mut last_learned, mut waited) = (None, 0.0);

@@ -4,16 +4,17 @@
 //! The cloud of particles represents the marker's possible positions. The coloured pixels around each particle's
 //! projection weight it. The centroids of the coloured pixels near the cloud's mean give a measured point that
 //! corrects the cloud; the less of the marker is visible, the less weight they get. The object is assumed to be
-//! round: its centroid in the image is the projection of its centre. Orientation is not measured; see
-//! [`crate::ObjectLocalizer`].
+//! round, or a level box: then its centroid in the image tells the projection of its centre. Orientation is not measured;
+//! see [`crate::ObjectLocalizer`].
 
 mod measurement;
 #[cfg(test)]
 mod tests;
 
+use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
-use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -22,6 +23,7 @@ use crate::color::ColorModel;
 use crate::components::{Component, components};
 use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::Mask;
+use crate::outline::box_outline;
 use crate::particles::Cloud;
 use measurement::{Blob, Counts, centroid, likelihood};
 
@@ -51,6 +53,8 @@ pub struct ColorMarkerObjectTracking {
     learns_diameter: bool,
     /// The marker's colour as observed when the track began, to reject other objects of similar colour.
     seen_color: Option<ColorModel>,
+    /// Edge lengths of what is a level box, m.
+    level_box: Option<Vector3<f64>>,
 }
 
 #[derive(Clone, Debug)]
@@ -76,6 +80,8 @@ const MIN_AREA: u32 = 12;
 const DEPTHS: RangeInclusive<f64> = 0.2..=3.0;
 /// Standard deviation of its acceleration, m/s^2.
 const ACCELERATION: f64 = 4.0;
+/// Turns of a level box over half a turn.
+const TURNS: usize = 8;
 /// Number of particles.
 const PARTICLES: usize = 300;
 
@@ -91,7 +97,37 @@ impl ColorMarkerObjectTracking {
             diameter: diameter.filter(|d| *d > 0.0 && d.is_finite()),
             learns_diameter: diameter.is_none(),
             seen_color: None,
+            level_box: None,
         }
+    }
+
+    /// The same for a box of these edge lengths along its own x, y, z, m, whose z is held upright. Of its silhouette the near part is the
+    /// larger, so that the centroid lies on the near side of the centre, by millimetres; that is taken off, as a mean over all turns about
+    /// z.
+    #[must_use]
+    pub fn of_level_box(self, size: impl Into<Vector3<f64>>) -> Self {
+        Self { level_box: Some(size.into()), ..self }
+    }
+
+    /// From the centre of a level box at `point` (left camera frame, m) to where the centroids of its silhouettes are seen; the mean over
+    /// [`TURNS`] turns.
+    fn beside(
+        &self,
+        size: &Vector3<f64>,
+        point: &Point3<f64>,
+        left_from_root: &UnitQuaternion<f64>,
+    ) -> Option<Vector3<f64>> {
+        let calibration = &self.calibration;
+        let mut sum = Vector3::zeros();
+        for turn in 0..TURNS {
+            let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI * turn as f64 / TURNS as f64);
+            let left_from_box = Isometry3::from_parts(point.coords.into(), left_from_root * yaw);
+            let centroid =
+                |shift| Some(box_outline(&calibration.camera, shift, &left_from_box, size)?.centroid());
+            let seen = calibration.triangulate(&centroid(0.0)?, &centroid(calibration.baseline)?)?;
+            sum += (seen - point) / TURNS as f64;
+        }
+        Some(sum)
     }
 
     /// Processes a frame; returns the marker's state, `None` while it is not visible. Where it is expected at a `place` (left camera
@@ -100,6 +136,16 @@ impl ColorMarkerObjectTracking {
     /// Images that do not have the calibration's size count as black. After half a second without a measurement
     /// the whole image is searched again.
     pub fn update(&mut self, frame: &StereoFrame, place: Option<&Point3<f64>>) -> Option<MarkerEstimate> {
+        let mut estimate = self.centroids(frame, place)?;
+        let left_from_root = frame.root_from_left.rotation.inverse();
+        let beside =
+            self.level_box.and_then(|size| self.beside(&size, &estimate.point_in_left, &left_from_root));
+        estimate.point_in_left -= beside.unwrap_or_default();
+        Some(estimate)
+    }
+
+    /// The state by the centroids of its silhouettes.
+    fn centroids(&mut self, frame: &StereoFrame, place: Option<&Point3<f64>>) -> Option<MarkerEstimate> {
         if !self.calibration.fits(frame) {
             return None;
         }

@@ -44,6 +44,22 @@ fn follows_a_tool_past_a_thing_of_similar_colour() {
 }
 
 #[test]
+fn a_level_box_is_seen_at_its_centre_whichever_way_it_is_turned_in_the_mean() {
+    let (size, at) = (Vector3::new(0.10, 0.07, 0.04), Point3::new(0.28, 0.53, 1.15));
+    let mean = |tracker: ColorMarkerObjectTracking| {
+        let errors = (0..8).map(|turn| {
+            let yaw = Vector3::z() * std::f64::consts::PI * f64::from(turn) / 8.0;
+            let tool = Thing::Block { root_from_block: Isometry3::new(at.coords, yaw), size, color: GREEN };
+            let estimate = tracker.clone().update(&frame(&[table(TABLE), tool], 0, 0), None).unwrap();
+            root_from_left() * error(&estimate, &at)
+        });
+        errors.sum::<Vector3<f64>>() / 8.0
+    };
+    let (round, level) = (mean(tracker()), mean(tracker().of_level_box(size)));
+    assert!(round.y < -0.002 && level.norm() < 0.001, "{round} {level}");
+}
+
+#[test]
 fn half_hidden_it_is_less_sure() {
     let mut tracker = tracker();
     let mut before = 0.0;
