@@ -20,11 +20,11 @@ pub struct RigidFit {
     pub angle_sigma: f64,
 }
 
-/// The least turn of carriers about their second axis, as the spread of the points that they would move, m per m.
-const LEAST_TURN: f64 = 0.1;
-/// How often both unknowns are improved at most, and a step after which no more is gained, m.
-const MOST_TURNS: usize = 2000;
-const SETTLED: f64 = 1e-8;
+/// By how much carriers must rotate: a point at 1 m from them moves by at least this (RMS, m), in whichever direction it lies.
+const LEAST_ROTATION: f64 = 0.1;
+/// Iterations after which a search is given up, and a step of the point that ends it, m.
+const MAX_ITERATIONS: usize = 20_000;
+const STEP_TOLERANCE: f64 = 1e-8;
 
 /// Fits `target ~ R source + t` to pairs of points, m.
 ///
@@ -80,46 +80,44 @@ pub fn rigid_fit(source: &[Point3<f64>], target: &[Point3<f64>]) -> Result<Rigid
 /// carriers' frame, searched from `start`.
 ///
 /// # Errors
-/// Those of [`rigid_fit`]; [`MotionError::Degenerate`] when the carriers turn by too little, or about one axis only: then where the point
-/// is along it cannot be told from `t`.
+/// Those of [`rigid_fit`]; [`MotionError::Degenerate`] when the carriers rotate by too little, or about one axis only: then where the point
+/// is along it cannot be told from `t`; and when the search does not end.
 ///
 /// # Source
 /// Coordinate descent: both unknowns by turns, each in closed form, the transform as in [`rigid_fit`] and the point as a mean. No step
-/// makes the sum of squares larger.
+/// makes the sum of squares larger. The fit's `angle_sigma` takes the point for known, which makes it too small.
 pub fn rigid_fit_held(
     source: &[Point3<f64>],
     carriers: &[Isometry3<f64>],
     start: &Point3<f64>,
 ) -> Result<(RigidFit, Point3<f64>), MotionError> {
     size("carriers", source.len(), carriers.len())?;
-    let turns = |carrier: &Isometry3<f64>| carrier.rotation.to_rotation_matrix().into_inner();
+    let rotation = |carrier: &Isometry3<f64>| carrier.rotation.to_rotation_matrix().into_inner();
     let n = carriers.len().max(1) as f64;
-    let mean = carriers.iter().map(turns).sum::<Matrix3<f64>>() / n;
-    let apart = |carrier: &Isometry3<f64>| (turns(carrier) - mean).tr_mul(&(turns(carrier) - mean));
+    let mean = carriers.iter().map(rotation).sum::<Matrix3<f64>>() / n;
+    let apart = |carrier: &Isometry3<f64>| (rotation(carrier) - mean).tr_mul(&(rotation(carrier) - mean));
     let varied = carriers.iter().map(apart).sum::<Matrix3<f64>>() / n;
     finite("carrier", varied.as_slice())?;
-    if principal_spread(&varied)[2] < LEAST_TURN {
+    if principal_spread(&varied)[2] < LEAST_ROTATION {
         return Err(MotionError::Degenerate {
             what: "carriers",
-            why: "they turn about one axis only, or hardly",
+            why: "they rotate about one axis only, or hardly",
         });
     }
     let mut point = *start;
-    for _ in 0..MOST_TURNS {
+    for _ in 0..MAX_ITERATIONS {
         let targets: Vec<Point3<f64>> = carriers.iter().map(|carrier| carrier * point).collect();
         let fit = rigid_fit(source, &targets)?;
         let seen = |(s, carrier): (&Point3<f64>, &Isometry3<f64>)| {
             (carrier.inverse() * (fit.target_from_source * s)).coords
         };
         let better = Point3::from(source.iter().zip(carriers).map(seen).sum::<Vector3<f64>>() / n);
-        let step = (better - point).norm();
-        point = better;
-        if step < SETTLED {
-            break;
+        if (better - point).norm() < STEP_TOLERANCE {
+            return Ok((fit, point));
         }
+        point = better;
     }
-    let targets: Vec<Point3<f64>> = carriers.iter().map(|carrier| carrier * point).collect();
-    Ok((rigid_fit(source, &targets)?, point))
+    Err(MotionError::Degenerate { what: "points", why: "they hardly tell where the carriers hold them" })
 }
 
 fn principal_spread(covariance: &Matrix3<f64>) -> [f64; 3] {

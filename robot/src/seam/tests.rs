@@ -58,15 +58,22 @@ async fn a_lease_ends_with_its_holders_session_and_the_limb_stands() {
     }
     let taken = far.own.lease(&arm.name, "another", LeaseLimits::default());
     assert!(matches!(taken, Err(LeaseError::Taken { .. })), "{taken:?}");
+    let moves = |far: &Stepped| {
+        let velocity = &far.joints.sample().velocity;
+        arm.joints.iter().any(|&joint| velocity[joint].abs() >= conformance::STANDING)
+    };
+    assert!(moves(&far));
     // Nothing is given back: the process is gone.
     std::mem::forget((lease, robot));
     far.near.close().await.unwrap();
     (0..conformance::STANDING_WITHIN_NS / 1_000_000).for_each(|_| far.step());
-    let velocity = &far.joints.sample().velocity;
-    assert!(arm.joints.iter().all(|&joint| velocity[joint].abs() < conformance::STANDING), "{velocity:?}");
-    while far.own.lease(&arm.name, "another", LeaseLimits::default()).is_err() {
-        sleep(Duration::from_millis(5)).await;
-    }
+    assert!(!moves(&far), "{:?}", far.joints.sample().velocity);
+    let freed = async {
+        while far.own.lease(&arm.name, "another", LeaseLimits::default()).is_err() {
+            sleep(Duration::from_millis(5)).await;
+        }
+    };
+    timeout(Duration::from_secs(30), freed).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 3)]
@@ -106,10 +113,10 @@ struct Stepped {
     session: Session,
     /// The session of the commander's side.
     near: Session,
-    /// Told from there after each sample, by the same way as commands and after them.
-    told: ControlSender,
-    heard: watch::Receiver<u64>,
-    _hears: ControlReader,
+    /// Sent from there after each sample, by the same way as commands and after them.
+    barrier: ControlSender,
+    passed: watch::Receiver<u64>,
+    _reader: ControlReader,
     stamp_ns: u64,
 }
 
@@ -122,15 +129,15 @@ impl Stepped {
         let server = RobotServer::start(&session, ("lab", "arm"), shared).await.unwrap();
         let joints = ServoJoints::new(&model, model.start(), 0);
         let near = linked(&session).await;
-        let key = Key::parse("armarium/lab/test/told").unwrap();
-        let told = near.control_sender(&key, "test").await.unwrap();
-        let (hear, heard) = watch::channel(0);
-        let hears = session.control_reader(key, move |message| {
+        let key = Key::parse("armarium/lab/test/barrier").unwrap();
+        let barrier = near.control_sender(&key, "test").await.unwrap();
+        let (pass, passed) = watch::channel(0);
+        let reader = session.control_reader(key, move |message| {
             let stamp_ns = u64::from_le_bytes(message.payload.try_into().unwrap());
-            hear.send_replace(stamp_ns);
+            pass.send_replace(stamp_ns);
         });
-        let _hears = hears.await.unwrap();
-        Self { model, guard, joints, own, server, session, near, told, heard, _hears, stamp_ns: 0 }
+        let _reader = reader.await.unwrap();
+        Self { model, guard, joints, own, server, session, near, barrier, passed, _reader, stamp_ns: 0 }
     }
 
     fn step(&mut self) {
@@ -148,8 +155,10 @@ impl Stepped {
                 while sensed.borrow_and_update().stamp_ns != stamp_ns {
                     sensed.changed().await.unwrap();
                 }
-                self.told.send(stamp_ns.to_le_bytes().into()).unwrap();
-                self.heard.wait_for(|&heard_ns| heard_ns == stamp_ns).await.unwrap();
+                // Whoever else waits for the sample commands first.
+                tokio::task::yield_now().await;
+                self.barrier.send(stamp_ns.to_le_bytes().into()).unwrap();
+                self.passed.wait_for(|&passed_ns| passed_ns == stamp_ns).await.unwrap();
             };
             // Either message may be lost.
             if timeout(Duration::from_millis(100), seen).await.is_ok() {

@@ -29,8 +29,8 @@ pub(super) struct Arrival {
     seen: Option<(Vector3<f64>, Option<f64>)>,
     /// Whether the hand has been seen moving. If it was at rest when first seen, its time of arrival is unknown.
     moved: bool,
-    /// Since when it rests (ns), and the phase at that time. What is hidden for a while and then still in its place has rested since
-    /// it was seen last.
+    /// Since when it is seen at rest (ns), and the phase at which it came to rest: that at that time, or where it was hidden before and
+    /// is still in its place, that at which it was seen last.
     stands: Option<(u64, Option<f64>)>,
     /// The place where it has arrived, and the phase at that time.
     place: Option<(Vector3<f64>, Option<f64>)>,
@@ -61,7 +61,7 @@ impl Arrival {
         let phase = motion.map(|(phase, _)| phase);
         let before = self.seen.replace((palm, phase)).filter(|_| unseen > SMOOTHING);
         let before = before.filter(|(last, _)| (palm - last).norm() < MIN_MOTION);
-        let from = before.map_or((stamp_ns, phase), |(_, phase)| (self.seen_ns, phase));
+        let from = (stamp_ns, before.map_or(phase, |(_, phase)| phase));
         self.seen_ns = stamp_ns;
         let share = 1.0 - libm::exp(-unseen / SMOOTHING);
         let smooth = self.smooth.map_or(palm, |old| old + (palm - old) * share);
@@ -89,7 +89,7 @@ impl Arrival {
         }
     }
 
-    /// If it rests and did not before, it has done so since `from`, a time (ns) and the phase at it.
+    /// If it rests and did not before, `from` says since when that is seen (ns), and the phase at which it came to rest.
     fn stand(&mut self, now: u64, moves: bool, from: (u64, Option<f64>)) {
         if moves {
             (self.stands, self.moved) = (None, true);
@@ -151,6 +151,14 @@ mod tests {
         let came = watch(4.0, |t| (!(0.95..1.8).contains(&t)).then(|| coming(t)));
         let came = came.last().unwrap().unwrap();
         assert!((came - 2.0).abs() < 0.4, "{came}");
+    }
+
+    #[test]
+    fn a_hand_that_passes_a_place_where_it_was_hidden_has_not_come_there() {
+        let passes = |t: f64| {
+            if t < 0.6 { Some(coming(t)) } else { (t > 1.2).then(|| coming(0.6) - 0.6 * (t - 1.2)) }
+        };
+        assert!(watch(1.8, passes).iter().all(Option::is_none));
     }
 
     #[test]

@@ -47,8 +47,9 @@ const PLACES_OF_TOOL: [([f64; 3], [f64; 3]); 9] = [
 
 /// From the middle of the arm's workspace to the middle of the places, m.
 const OVER_WORKSPACE: [f64; 3] = [0.0, -0.01, 0.15];
-/// Places that are enough, and a residual of the fit with which none is left out, m.
+/// Places that are enough with a marker and with a tool, and a residual of the fit with which none is left out, m.
 const ENOUGH: usize = 4;
+const ENOUGH_OF_TOOL: usize = 6;
 const GOOD: f64 = 0.004;
 /// A tool is within this of where hands hold things, m, also where the cameras are not calibrated yet.
 const IN_HAND: f64 = 0.1;
@@ -100,25 +101,34 @@ impl Sought {
         let model = equipment.robot.model();
         let tool = context.text("tool")?;
         if tool.is_empty() {
-            return Ok(Self::Marker(marker(model, arm)?));
+            let marker = marker(model, arm);
+            let instead = |none: Failure| {
+                Failure::new(format!("{}; with `tool` it calibrates by what the hand holds", none.reason))
+            };
+            return marker.map(Self::Marker).map_err(instead);
         }
         let (class, hand) = (object_class(&*equipment.memory, tool).await?, hand(model, arm)?);
         let (held, palm_down) = (held_in_tcp(hand), hand.palm_down(0.0));
         Ok(Self::Tool { class, tcp: tcp_of(arm)?, held, palm_down })
     }
 
-    fn name(&self) -> &'static str {
+    /// Why it may not have been seen at enough places.
+    fn unseen(&self, seen: usize, of: usize) -> String {
         match self {
-            Self::Marker(_) => "marker on the hand",
-            Self::Tool { .. } => "tool in the hand",
+            Self::Marker(_) => format!(
+                "the marker on the hand was seen in {seen} of {of} places; do both cameras work, and is the light on?"
+            ),
+            Self::Tool { .. } => format!(
+                "the tool in the hand was seen in {seen} of {of} places; do both cameras work, is the light on, and does the hand leave enough of it to be seen?"
+            ),
         }
     }
 
-    /// What else it must be.
-    fn must_be(&self) -> &'static str {
+    /// At how many places it must be seen.
+    fn enough(&self) -> usize {
         match self {
-            Self::Marker(_) => "it in its place",
-            Self::Tool { .. } => "enough of it to be seen beside the hand",
+            Self::Marker(_) => ENOUGH,
+            Self::Tool { .. } => ENOUGH_OF_TOOL,
         }
     }
 
@@ -152,7 +162,7 @@ impl Sought {
         }
     }
 
-    /// Whether an observation is of it, and shows enough of it: a marker is seen whole, a tool where it is expected.
+    /// Whether an observation is of it: of a marker most must be seen, a tool where the hand holds things.
     fn is_seen(&self, seen: &Observation, at: &Point3<f64>, root_from_link: &Isometry3<f64>) -> bool {
         match self {
             Self::Marker(_) => seen.confidence > 0.5,
@@ -203,23 +213,19 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             links.push(link);
         }
     }
-    if seen.len() < ENOUGH {
-        return Err(Failure::new(format!(
-            "the {} was seen in {} of {} places; do both cameras work, is the light on, and is {}?",
-            sought.name(),
-            seen.len(),
-            places.len(),
-            sought.must_be()
-        )));
+    let enough = sought.enough();
+    if seen.len() < enough {
+        return Err(Failure::new(sought.unseen(seen.len(), places.len())));
     }
     let (mut fit, mut place) = sought.fit(&seen, &links)?;
     // Where the hand hides a part of it, it is seen beside its place.
-    while fit.rms > GOOD && seen.len() > ENOUGH {
+    while fit.rms > GOOD && seen.len() > enough {
         let off = |i: usize| (fit.target_from_source * seen[i] - links[i] * place).norm();
         let worst = (0..seen.len()).max_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0);
         seen.remove(worst);
         links.remove(worst);
-        (fit, place) = sought.fit(&seen, &links)?;
+        let Ok(better) = sought.fit(&seen, &links) else { break };
+        (fit, place) = better;
     }
     if fit.rms > largest {
         return Err(Failure::new(format!(
@@ -236,8 +242,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 /// The class under which the processor observes it.
 const SOUGHT: &str = "sought";
 
-/// The position in the left camera's frame, as seen, and there the pose of its link as computed from the joints of arm and head; the
-/// mean of several frames with the hand at rest.
+/// The position in the left camera's frame, as seen, and there the pose of its link as computed from the joints of arm and head. Of
+/// several frames with the hand at rest, the mean; the rotation is that of the last one.
 async fn look(
     equipment: &Equipment,
     sought: &Sought,

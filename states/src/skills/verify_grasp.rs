@@ -109,7 +109,8 @@ fn judge(nearest: f64, name: &str, weight_is_known: bool) -> Result<(), Failure>
 
 /// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height of `stood`
 /// over the surface on which it stood. Detections above or below that are ignored: they are the arm, or two parts of the object
-/// matched as one. Returns the least distance of it, or of its nearer end, from its place in the hand, m; infinite if it was not detected.
+/// matched as one. Returns the least distance from its place in the hand, m, less what may stick out of the hand beside it; infinite if it was not
+/// detected.
 async fn look(
     equipment: &Equipment,
     arm: &mut LeasedArm,
@@ -121,7 +122,7 @@ async fn look(
     let tcp = tcp_of(&arm.limb)?;
     let in_hand = move |stamp_ns| Some(hand.link_at(tcp, stamp_ns).ok()? * held);
     let mut sight = equipment.look(equipment.track(class.color, None, HELD).expected_at(in_hand.clone()));
-    let ends = (Vector3::from(class.size).max() / 2.0 - STICKS_OUT).max(0.0);
+    let ends = (class.size[0].max(class.size[1]) / 2.0 - STICKS_OUT).max(0.0);
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {
         let (sample, dt) = senses.next().await?;
