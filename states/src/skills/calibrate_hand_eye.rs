@@ -85,7 +85,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
 }
 
 /// What is looked at: the marker on the hand, or a tool that the hand holds.
-enum Sought {
+enum CalibrationTarget {
     Marker(Marker),
     /// Where hands hold things, which is not exactly where it is, and how the TCP stands with the palm down.
     Tool {
@@ -96,7 +96,7 @@ enum Sought {
     },
 }
 
-impl Sought {
+impl CalibrationTarget {
     async fn of(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
         let model = equipment.robot.model();
         let tool = context.text("tool")?;
@@ -112,7 +112,7 @@ impl Sought {
         Ok(Self::Tool { class, tcp: tcp_of(arm)?, held, palm_down })
     }
 
-    /// Why it may not have been seen at enough places.
+    /// What is said when it was seen at too few places.
     fn unseen(&self, seen: usize, of: usize) -> String {
         match self {
             Self::Marker(_) => format!(
@@ -152,12 +152,12 @@ impl Sought {
     fn step(&self, equipment: &Equipment, root_from_link: &Isometry3<f64>) -> Vec<Box<dyn StereoStep>> {
         match self {
             Self::Marker(marker) => {
-                vec![Box::new(equipment.track(marker.color, Some(marker.diameter), SOUGHT))]
+                vec![Box::new(equipment.track(marker.color, Some(marker.diameter), TARGET))]
             }
             Self::Tool { class, palm_down, .. } => {
                 let level = root_from_link.rotation * palm_down.inverse();
                 let box_of = ObjectLocalizer::new(equipment.images.calibration(), class.size, class.color);
-                vec![Box::new(ObjectStep::new(box_of.standing_on(level), SOUGHT))]
+                vec![Box::new(ObjectStep::new(box_of.standing_on(level), TARGET))]
             }
         }
     }
@@ -198,33 +198,34 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let yaw = model.side_of(&arm.limb) * context.number("yaw")?;
     let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let sought = Sought::of(&equipment, &context, &arm.limb).await?;
+    let target = CalibrationTarget::of(&equipment, &context, &arm.limb).await?;
     // The mounting through which everything is seen now.
     let known = Mounting::load(&*equipment.memory, &equipment.agent).await?;
+    // Left camera frame: where it was seen, and its link there, place by place.
     let (mut seen, mut links) = (Vec::new(), Vec::new());
-    let places = sought.places();
+    let places = target.places();
     for (place, [about, forward, left]) in &places {
         let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(*forward, *left, 0.0));
         let palm = facing * tilt * hand.palm_down(yaw + about);
         let tcp = Isometry3::from_parts((center + facing * Vector3::from(*place)).into(), palm);
         arm.go(&mut senses, tcp, 0.2, |_| Ok(())).await?;
-        if let Some((is, link)) = look(&equipment, &sought, &mut arm, &mut senses).await? {
+        if let Some((is, link)) = look(&equipment, &target, &mut arm, &mut senses).await? {
             seen.push(is);
             links.push(link);
         }
     }
-    let enough = sought.enough();
+    let enough = target.enough();
     if seen.len() < enough {
-        return Err(Failure::new(sought.unseen(seen.len(), places.len())));
+        return Err(Failure::new(target.unseen(seen.len(), places.len())));
     }
-    let (mut fit, mut place) = sought.fit(&seen, &links)?;
+    let (mut fit, mut place) = target.fit(&seen, &links)?;
     // Where the hand hides a part of it, it is seen beside its place.
     while fit.rms > GOOD && seen.len() > enough {
         let off = |i: usize| (fit.target_from_source * seen[i] - links[i] * place).norm();
         let worst = (0..seen.len()).max_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(0);
         seen.remove(worst);
         links.remove(worst);
-        let Ok(better) = sought.fit(&seen, &links) else { break };
+        let Ok(better) = target.fit(&seen, &links) else { break };
         (fit, place) = better;
     }
     if fit.rms > largest {
@@ -240,18 +241,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// The class under which the processor observes it.
-const SOUGHT: &str = "sought";
+const TARGET: &str = "target";
 
 /// The position in the left camera's frame, as seen, and there the pose of its link as computed from the joints of arm and head. Of
 /// several frames with the hand at rest, the mean; the rotation is that of the last one.
 async fn look(
     equipment: &Equipment,
-    sought: &Sought,
+    target: &CalibrationTarget,
     arm: &mut LeasedArm,
     senses: &mut Senses,
 ) -> Result<Option<(Point3<f64>, Isometry3<f64>)>, Failure> {
-    let standing = equipment.robot.model().link_pose(&senses.newest().position, sought.link());
-    let mut sight = equipment.look(sought.step(equipment, &standing));
+    let standing = equipment.robot.model().link_pose(&senses.newest().position, target.link());
+    let mut sight = equipment.look(target.step(equipment, &standing));
     let (mut seen, mut link, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
     let mut rotation = UnitQuaternion::identity();
     while count < FRAMES && waited < 1.5 {
@@ -259,9 +260,9 @@ async fn look(
         waited += dt;
         arm.hold(&sample)?;
         let Some(frame) = sight.newest().map_err(failed)? else { continue };
-        let root_from_link = equipment.link_at(sought.link(), frame.stamp_ns)?;
-        let found = frame.of_class(SOUGHT).and_then(|found| Some((found, seen_at(found)?)));
-        if let Some((_, at)) = found.filter(|(found, at)| sought.is_seen(found, at, &root_from_link)) {
+        let root_from_link = equipment.link_at(target.link(), frame.stamp_ns)?;
+        let found = frame.of_class(TARGET).and_then(|found| Some((found, seen_at(found)?)));
+        if let Some((_, at)) = found.filter(|(found, at)| target.is_seen(found, at, &root_from_link)) {
             let left_from_root = frame.root_from_left.inverse();
             let left_from_link = left_from_root * root_from_link;
             seen += (left_from_root * at).coords;

@@ -109,8 +109,8 @@ fn judge(nearest: f64, name: &str, weight_is_known: bool) -> Result<(), Failure>
 
 /// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height of `stood`
 /// over the surface on which it stood. Detections above or below that are ignored: they are the arm, or two parts of the object
-/// matched as one. Returns the least distance from its place in the hand, m, less what may stick out of the hand beside it; infinite if it was not
-/// detected.
+/// matched as one. Returns the least distance from its place in the hand, m, less what may stick out of the hand on a side; infinite
+/// if it was not detected.
 async fn look(
     equipment: &Equipment,
     arm: &mut LeasedArm,

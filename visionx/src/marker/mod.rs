@@ -80,7 +80,7 @@ const MIN_AREA: u32 = 12;
 const DEPTHS: RangeInclusive<f64> = 0.2..=3.0;
 /// Standard deviation of its acceleration, m/s^2.
 const ACCELERATION: f64 = 4.0;
-/// Turns of a level box over half a turn.
+/// Turns about the vertical, evenly over half a turn, over which a level box is averaged.
 const TURNS: usize = 8;
 /// Number of particles.
 const PARTICLES: usize = 300;
@@ -109,9 +109,9 @@ impl ColorMarkerObjectTracking {
         Self { level_box: Some(size.into()), ..self }
     }
 
-    /// From the centre of a level box at `point` (left camera frame, m) to where the centroids of its silhouettes are seen; the mean over
-    /// [`TURNS`] turns.
-    fn beside(
+    /// From the centre of a level box of edge lengths `size` (m) at `point` to the point that the centroids of its silhouettes tell, both
+    /// in the left camera's frame, m; the mean over [`TURNS`] turns.
+    fn perspective_shift(
         &self,
         size: &Vector3<f64>,
         point: &Point3<f64>,
@@ -138,9 +138,10 @@ impl ColorMarkerObjectTracking {
     pub fn update(&mut self, frame: &StereoFrame, place: Option<&Point3<f64>>) -> Option<MarkerEstimate> {
         let mut estimate = self.centroids(frame, place)?;
         let left_from_root = frame.root_from_left.rotation.inverse();
-        let beside =
-            self.level_box.and_then(|size| self.beside(&size, &estimate.point_in_left, &left_from_root));
-        estimate.point_in_left -= beside.unwrap_or_default();
+        let shift = self
+            .level_box
+            .and_then(|size| self.perspective_shift(&size, &estimate.point_in_left, &left_from_root));
+        estimate.point_in_left -= shift.unwrap_or_default();
         Some(estimate)
     }
 
