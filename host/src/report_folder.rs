@@ -9,7 +9,18 @@ use crate::error::HostError;
 #[derive(Debug)]
 pub(crate) struct ReportFolder {
     pub(crate) path: PathBuf,
+    made: bool,
     _lock: Option<File>,
+}
+
+/// A run that does not begin leaves no empty folder.
+impl Drop for ReportFolder {
+    fn drop(&mut self) {
+        if self.made {
+            // Only an empty folder is removed.
+            let _ = std::fs::remove_dir(&self.path);
+        }
+    }
 }
 
 impl ReportFolder {
@@ -22,20 +33,23 @@ impl ReportFolder {
                 1 => folder.to_owned(),
                 n => PathBuf::from(format!("{}-{n}", folder.display())),
             };
-            number += 1;
+            let made = !path.exists();
             std::fs::create_dir_all(&path).map_err(|source| HostError::File {
                 what: "the report's folder cannot be made:",
                 path: path.clone(),
                 source,
             })?;
             match locked(&path) {
+                // A run that did not begin has just removed it.
+                _ if !path.exists() => continue,
                 Err(TryLockError::WouldBlock) if keep => {}
                 Err(TryLockError::WouldBlock) => return Err(HostError::ReportInUse { path }),
                 // A report that is there is looked for under the lock: its writer has gone then.
                 _ if keep && path.join("report.json").exists() => {}
                 // Some file systems cannot lock folders: then two runs are kept apart by their reports only.
-                lock => return Ok(Self { path, _lock: lock.ok() }),
+                lock => return Ok(Self { path, made, _lock: lock.ok() }),
             }
+            number += 1;
         }
     }
 }
@@ -51,6 +65,17 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_run_that_does_not_begin_leaves_no_folder_and_removes_none_of_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let report = folder.path().join("report");
+        drop(ReportFolder::take(&report, true).unwrap());
+        assert!(!report.exists());
+        std::fs::create_dir(&report).unwrap();
+        drop(ReportFolder::take(&report, true).unwrap());
+        assert!(report.exists());
+    }
+
+    #[test]
     fn a_folder_has_one_writer_and_keeps_its_report() {
         let folder = tempfile::tempdir().unwrap();
         let report = folder.path().join("a/report");
@@ -64,8 +89,10 @@ mod tests {
         drop(second);
         assert_eq!(take(true).unwrap().path, folder.path().join("a/report-3"));
         drop(first);
-        assert_eq!(take(true).unwrap().path, report, "a run that left no report");
+        let again = take(true).unwrap();
+        assert_eq!(again.path, report, "a run that left no report");
         std::fs::write(report.join("report.json"), "{}").unwrap();
+        drop(again);
         assert_eq!(take(false).unwrap().path, report);
         std::fs::write(folder.path().join("file"), "").unwrap();
         assert!(matches!(

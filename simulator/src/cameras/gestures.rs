@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use armarium_robot::{DifferentialIk, IkConfig, Model, Twist};
-use armarium_visionx::{Gesture, HandDetection};
+use armarium_visionx::{EpipolarCheck, Gesture, HandDetection};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -169,12 +169,6 @@ fn eyes_open(t: f64) -> bool {
     (t * 15.0 + 1e-6).fract() < 15.0 * STEP_S
 }
 
-/// The value in the middle of the sorted values.
-fn middle(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
 /// Dark and light woods, red, grey, and the colour of the hand itself.
 #[test]
 fn gestures_are_seen_over_tables_of_any_colour() {
@@ -218,7 +212,8 @@ fn networks_see_where_a_hand_is_and_points() {
         world.camera.depth = world.camera.depth.filter(|_| has_depth);
         let Score { palms, pointing, .. } = watch(&world, 1, hands);
         assert!(palms.len() > 40 && pointing.len() > 20, "{} {}", palms.len(), pointing.len());
-        let (palm, pointing) = (middle(palms), middle(pointing).to_degrees());
+        let [palm, pointing] = [palms, pointing].map(|values| EpipolarCheck::median(&values).unwrap());
+        let pointing = pointing.to_degrees();
         println!("{hands:?}, depth {has_depth}: palm {:.1} mm, direction {pointing:.1} degrees", palm * 1e3);
         assert!(
             palm < 0.013 && pointing < 11.0,

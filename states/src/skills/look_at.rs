@@ -32,7 +32,7 @@ pub(crate) fn skill(equipment: &Equipment) -> impl Skill + use<> {
         "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
     )
     .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
-    .optional("timeout", Type::Duration, 5.0, "Longest time it may take.")
+    .optional("timeout", Type::Duration, 5.0, "Longest time until the gaze rests there.")
     .optional(
         "keep",
         Type::Duration,
@@ -60,22 +60,27 @@ pub(crate) fn point(equipment: &Equipment, context: &SkillContext) -> Result<Poi
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let point = point(&equipment, &context)?;
-    let (tolerance, timeout) = (context.number("tolerance")?, context.number("timeout")?);
+    let (timeout, keep) = (context.number("timeout")?, context.number("keep")?.max(0.0));
     let mut head = Head::take(&equipment, &context)?;
-    if !head.turns() {
-        return in_view(&equipment, &mut head, &point);
-    }
+    // Cameras that nothing turns look at what is inside of the cone that their pictures hold.
+    let (turns, cone) = (head.turns(), equipment.images.calibration().camera.cone());
+    let tolerance = if turns { context.number("tolerance")? } else { cone };
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let keep = context.number("keep")?.max(0.0);
     let (mut elapsed, mut reached_for) = (0.0, 0.0);
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
         let angle = head.look(&sample, dt, &point, SPEED)?;
         let has_rested = reached_for > REST_TIME;
-        reached_for = if angle < tolerance || has_rested { reached_for + dt } else { 0.0 };
+        let looks = angle < tolerance || has_rested;
+        reached_for = if looks { reached_for + dt } else { 0.0 };
         if reached_for > REST_TIME + keep {
             return Ok(Outcome::success());
+        }
+        if !turns && !looks {
+            return Err(Failure::new(format!(
+                "nothing turns the cameras, and the point is {angle:.2} rad off their axis; they see {cone:.2} rad to each side"
+            )));
         }
         if elapsed > timeout && !has_rested {
             return Err(Failure::new(format!(
@@ -83,17 +88,4 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             )));
         }
     }
-}
-
-/// Whether cameras that nothing turns have a point in view: inside of the cone that their pictures hold.
-fn in_view(equipment: &Equipment, head: &mut Head, point: &Point3<f64>) -> SkillResult {
-    let sample = equipment.robot.sensed().borrow();
-    let angle = head.look(&sample, 0.0, point, 0.0)?;
-    let cone = equipment.images.calibration().camera.cone();
-    if angle < cone {
-        return Ok(Outcome::success());
-    }
-    Err(Failure::new(format!(
-        "nothing turns the cameras, and the point is {angle:.2} rad off their axis; they see {cone:.2} rad to each side"
-    )))
 }

@@ -33,7 +33,7 @@ pub use edges::{Edge, edge_map};
 pub use follower::{FollowedTips, TipFollower};
 pub use hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 pub use labels::{DetectorScore, HandLabels, LabelError, LabelledHand};
-pub use learned::{BodyLandmarks, FingerBends, HandLandmarks, LearnedBodyDetector, LearnedHandDetector};
+pub use learned::{BodyLandmarks, FingerPosture, HandLandmarks, LearnedBodyDetector, LearnedHandDetector};
 pub use photograph::SkinHandDetector;
 pub use recognizer::{Expected, GesturePattern, GestureRecognizer, SeenFinger};
 pub use skin::SkinSegmentation;

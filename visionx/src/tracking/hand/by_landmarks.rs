@@ -3,6 +3,9 @@
 //! The networks tell where the joints are relative to each other, for a hand of usual size. How far away the hand is, is the median over
 //! all landmarks of what is measured there, so a few that something hides, or that lie beside a thin finger, do not matter. What is measured
 //! at the palm counts if it fits that. Along a stretched finger the networks tell too little depth, so that is measured from joint to joint.
+//! What is much larger or smaller there than a hand is none.
+
+use std::ops::RangeInclusive;
 
 use nalgebra::{Point2, Point3, Vector3};
 
@@ -12,7 +15,7 @@ use super::measured::MeasuredHand;
 use super::{Fingertip, HandObservation};
 use crate::camera::StereoCalibration;
 use crate::frame::{DepthImage, StereoFrame};
-use crate::tracking::{FingerBends, HandLandmarks, LearnedHandDetector};
+use crate::tracking::{FingerPosture, HandLandmarks, LearnedHandDetector};
 
 /// Radius around a landmark, and around the palm's middle, in which its depth is measured, relative to the palm's.
 const ABOUT: f64 = 0.12;
@@ -23,6 +26,8 @@ const ELSEWHERE: f64 = 0.05;
 const LONGER: f64 = 1.3;
 /// Fewer landmarks tell nothing of how far away the hand is.
 const FEWEST: usize = 8;
+/// How large a hand is, relative to a usual one.
+const SIZES: RangeInclusive<f64> = 0.6..=1.5;
 
 /// Measures hands by their landmarks.
 #[derive(Clone, Debug)]
@@ -71,7 +76,8 @@ impl HandsByLandmarks {
         calibration: &StereoCalibration,
     ) -> Option<MeasuredHand> {
         let landmarks = &self.left.landmarks(&frame.left)?;
-        let by = match frame.depth.as_deref() {
+        let depth = frame.depth.as_deref().and_then(|depth| calibration.camera.usable(depth));
+        let by = match depth {
             Some(depth) => By::Depth(depth),
             None => By::Eyes(Box::new(self.right.landmarks(&frame.right)?)),
         };
@@ -84,7 +90,7 @@ impl HandsByLandmarks {
             return None;
         }
         hand.origin = median(offsets)?;
-        hand.measured(frame)
+        SIZES.contains(&hand.size()).then(|| hand.measured(frame))?
     }
 }
 
@@ -132,13 +138,21 @@ impl Hand<'_> {
         }
     }
 
+    /// How large the hand is in space, relative to a usual one.
+    fn size(&self) -> f64 {
+        let told = &self.landmarks.in_hand;
+        let places = self.landmarks.points.iter().zip(told);
+        let places: Vec<_> = places.map(|(px, told)| self.at(px, told.z + self.origin)).collect();
+        spread(&places) / spread(told).max(f64::MIN_POSITIVE)
+    }
+
     fn measured(&self, frame: &StereoFrame) -> Option<MeasuredHand> {
         let (palm_px, palm_radius_px) = self.landmarks.palm();
-        let bends = FingerBends::of(self.landmarks);
+        let posture = FingerPosture::of(self.landmarks);
         let bounds = self.landmarks.bounds(palm_radius_px, &frame.left);
         let cut = bounds.touches_border(frame.left.width(), frame.left.height());
         let hidden = if cut { 1.0 } else { self.hidden() };
-        let fingers = HandLandmarks::FINGERS.into_iter().zip(bends.stretched());
+        let fingers = HandLandmarks::FINGERS.into_iter().zip(posture.stretched());
         let stretched: Vec<([usize; 4], f64)> = fingers.filter(|(_, score)| *score > 0.5).collect();
         // A thumb beside a pointing finger does not point.
         let thumb = HandLandmarks::FINGERS[0];
@@ -155,7 +169,7 @@ impl Hand<'_> {
             palm_px,
             palm_radius_px,
             hidden,
-            likelihoods: bends.likelihoods(),
+            likelihoods: posture.likelihoods(),
             fingertips: stretched.iter().map(fingertip).collect(),
             direction: self.direction(&pointing).filter(|_| points).map(|d| (d, pointing.len())),
             bounds,
@@ -200,4 +214,11 @@ impl Hand<'_> {
         }
         sum.try_normalize(1e-6)
     }
+}
+
+/// How far points are from their middle, as the root of the mean square.
+fn spread(points: &[Point3<f64>]) -> f64 {
+    let n = points.len() as f64;
+    let middle = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
+    (points.iter().map(|p| (p.coords - middle).norm_squared()).sum::<f64>() / n).sqrt()
 }

@@ -1,7 +1,7 @@
 //! Hands found by networks that were trained on photographs: [`LearnedHandDetector`].
 //!
 //! One network finds palms in the whole image (`palms`), another one 21 landmarks in the turned square around a palm
-//! (`landmarks`), and the bends of the fingers are the gesture (`fingers`). Colour does not matter to the gesture. The networks are
+//! (`landmarks`), and how the fingers are held is the gesture (`fingers`). Colour does not matter to the gesture. The networks are
 //! those of MediaPipe (`visionx/models/NOTICE.md`); the pipeline around them follows it, except that shrinking averages pixels.
 //!
 //! # Source
@@ -24,7 +24,7 @@ use crate::frame::RgbImage;
 use crate::network::Network;
 use crate::tracking::hand::Fingertip;
 pub use body::{BodyLandmarks, LearnedBodyDetector};
-pub use fingers::FingerBends;
+pub use fingers::FingerPosture;
 pub use landmarks::HandLandmarks;
 use square::Square;
 
@@ -113,9 +113,9 @@ impl LearnedHandDetector {
 impl HandDetector for LearnedHandDetector {
     fn find(&mut self, image: &RgbImage) -> Option<HandInPicture> {
         let hand = self.landmarks(image)?;
-        let bends = FingerBends::of(&hand);
+        let posture = FingerPosture::of(&hand);
         let (palm, palm_radius) = hand.palm();
-        let fingers: Vec<(SeenFinger, Point2<f64>)> = bends
+        let fingers: Vec<(SeenFinger, Point2<f64>)> = posture
             .stretched()
             .into_iter()
             .zip(HandLandmarks::FINGERS)
@@ -138,7 +138,7 @@ impl HandDetector for LearnedHandDetector {
                 let (name, sure) = patterns.recognize(&fingers);
                 (Some(name).filter(|name| !name.is_empty()), sure)
             }
-            None => match bends.gesture() {
+            None => match posture.gesture() {
                 Some((gesture, sure)) => (Some(gesture.name().to_owned()), sure),
                 None => (None, 1.0),
             },

@@ -4,10 +4,10 @@ use super::square::{Outside, Square};
 use super::*;
 use crate::Gesture;
 
-/// A hand whose fingers (thumb first) are bent by these angles at each of their three joints, degrees.
-fn bent(angles: [f64; 5]) -> HandLandmarks {
+/// A hand whose fingers are bent by these angles at each of their three joints, degrees. Its thumb stands out, or lies at the fingers.
+fn hand(thumb_stands_out: bool, angles: [f64; 4]) -> HandLandmarks {
     let mut in_hand = [Point3::origin(); 21];
-    for (finger, angle) in HandLandmarks::FINGERS.iter().zip(angles) {
+    for (finger, angle) in HandLandmarks::FINGERS[1..].iter().zip(angles) {
         let side = (finger[0] as f64 - 9.0) * 0.004;
         let mut along = Vector3::new(side, -0.09, 0.0).normalize();
         in_hand[finger[0]] = Point3::from(along * 0.09);
@@ -16,34 +16,43 @@ fn bent(angles: [f64; 5]) -> HandLandmarks {
             in_hand[joint[1]] = in_hand[joint[0]] + along * 0.03;
         }
     }
+    let tip =
+        if thumb_stands_out { Point3::new(-0.08, -0.07, 0.0) } else { in_hand[6] + Vector3::x() * -0.02 };
+    let base = Point3::new(-0.02, -0.03, 0.0);
+    (1..=4).for_each(|i| in_hand[i] = base + (tip - base) * ((i - 1) as f64 / 3.0));
     HandLandmarks { points: in_hand.map(|p| Point2::new(1000.0 * p.x, 1000.0 * p.y)), in_hand, presence: 1.0 }
 }
 
 #[test]
-fn gestures_are_bends_of_fingers() {
-    let (flat, folded) = (10.0, 55.0);
-    for (fingers, gesture) in [
-        ([28.0, folded, folded, folded, folded], Some(Gesture::Fist)),
-        ([28.0, flat, folded, folded, folded], Some(Gesture::PointOne)),
-        ([28.0, 40.0, folded, folded, folded], Some(Gesture::PointOne)),
-        ([28.0, flat, flat, folded, folded], Some(Gesture::PointTwo)),
-        ([28.0, flat, flat, flat, flat], Some(Gesture::OpenHand)),
-        ([flat, flat, flat, flat, flat], Some(Gesture::OpenHand)),
+fn gestures_are_how_fingers_are_held() {
+    let (flat, held, folded) = (10.0, 39.0, 55.0);
+    for (thumb_stands_out, fingers, gesture) in [
+        (false, [folded; 4], Some(Gesture::Fist)),
+        (false, [flat, folded, folded, folded], Some(Gesture::PointOne)),
+        (true, [flat, folded, folded, folded], Some(Gesture::PointOne)),
+        (false, [40.0, folded, folded, folded], Some(Gesture::PointOne)),
+        (false, [flat, flat, folded, folded], Some(Gesture::PointTwo)),
+        // The thumb holds the folded fingers.
+        (false, [flat, flat, held, held], Some(Gesture::PointTwo)),
+        (false, [flat; 4], Some(Gesture::OpenHand)),
+        (true, [flat; 4], Some(Gesture::OpenHand)),
+        (true, [30.0; 4], Some(Gesture::OpenHand)),
         // Thumbs up; the little finger alone; three fingers.
-        ([flat, folded, folded, folded, folded], None),
-        ([28.0, folded, folded, folded, flat], None),
-        ([28.0, flat, flat, flat, folded], None),
+        (true, [folded; 4], None),
+        (false, [folded, folded, folded, flat], None),
+        (false, [flat, flat, flat, folded], None),
     ] {
-        let bends = FingerBends::of(&bent(fingers));
-        assert!((bends.0[2] - 3.0 * fingers[2]).abs() < 1e-6, "{bends:?}");
-        assert_eq!(bends.gesture().map(|(gesture, _)| gesture), gesture, "{fingers:?}");
-        assert!(bends.likelihoods().iter().sum::<f64>() <= 1.0 + 1e-12);
+        let posture = FingerPosture::of(&hand(thumb_stands_out, fingers));
+        assert!((posture.bends[1] - 3.0 * fingers[1]).abs() < 1e-6, "{posture:?}");
+        assert_eq!(posture.thumb > 0.5, thumb_stands_out, "{posture:?}");
+        assert_eq!(posture.gesture().map(|(gesture, _)| gesture), gesture, "{fingers:?}: {posture:?}");
+        assert!(posture.likelihoods().iter().sum::<f64>() <= 1.0 + 1e-12);
     }
 }
 
 #[test]
 fn the_square_of_the_next_image_turns_and_grows_with_the_hand() {
-    let hand = bent([10.0; 5]);
+    let hand = hand(true, [10.0; 4]);
     let square = hand.square().unwrap();
     assert!(square.down.y > 0.99, "the fingers are up: {square:?}");
     let (turn, shift) = (nalgebra::Rotation2::new(0.7), Vector2::new(30.0, -20.0));
