@@ -10,8 +10,8 @@ use armarium_visionx::tracking::{
     HandDetector, HandInPicture, HandOutline, LearnedBodyDetector, LearnedHandDetector, SkinHandDetector,
 };
 use armarium_visionx::{
-    BodyJoint, BodyObserver, DepthImage, Gesture, PinholeCamera, RgbImage, SharedImage, StereoCalibration,
-    StereoFrame,
+    BodyJoint, BodyObserver, DepthImage, Gesture, HandDetection, PinholeCamera, RgbImage, SharedImage,
+    StereoCalibration, StereoFrame,
 };
 use nalgebra::{Isometry3, Point2};
 use rand::{RngExt, SeedableRng};
@@ -261,15 +261,13 @@ fn people_in_photographs_are_seen_with_right_and_left() {
     assert!(errors_px[errors_px.len() / 2] < 35.0, "{errors_px:?}");
 }
 
-/// The shoulders' distance, m, of who is seen in ten frames of a photograph that stands at this distance before a camera with depth.
-fn shoulders(file: &str, distance: f64) -> Option<f64> {
+/// Ten frames of a photograph that stands at this distance, m, before a camera with depth, and that camera.
+fn standing(file: &str, distance: f64) -> (StereoCalibration, Vec<StereoFrame>) {
     let image = SharedImage::from(real(file));
     let (width, height) = (image.width(), image.height());
     let center = [width, height].map(|side| f64::from(side) / 2.0);
     let camera = PinholeCamera { focal: 525.0, center, width, height };
-    let calibration = StereoCalibration { camera, baseline: 0.06 };
     let depth = DepthImage { width, height, data: vec![distance as f32; (width * height) as usize] };
-    let mut observer = BodyObserver::new(calibration);
     let frame = |i: u64| StereoFrame {
         stamp_ns: i * 66_000_000,
         left: image.clone(),
@@ -277,9 +275,30 @@ fn shoulders(file: &str, distance: f64) -> Option<f64> {
         depth: Some(Arc::new(depth.clone())),
         root_from_left: Isometry3::identity(),
     };
-    let body = (0..10).filter_map(|i| observer.update(&frame(i), &[])).last()?;
+    (StereoCalibration { camera, baseline: 0.06 }, (0..10).map(frame).collect())
+}
+
+/// The shoulders' distance, m, of who is seen in a photograph at this distance, m.
+fn shoulders(file: &str, distance: f64) -> Option<f64> {
+    let (calibration, frames) = standing(file, distance);
+    let mut observer = BodyObserver::new(calibration);
+    let body = frames.iter().filter_map(|frame| observer.update(frame, &[])).last()?;
     let shoulder = |joint| body.joint(joint).map(|seen| seen.at);
     Some((shoulder(BodyJoint::RightShoulder)? - shoulder(BodyJoint::LeftShoulder)?).norm())
+}
+
+/// A picture of a hand, as large as a table, is no hand; nor is one as small as a coin.
+#[test]
+fn hands_in_photographs_are_as_large_as_hands() {
+    for (file, gesture, _) in REAL {
+        for (distance, is_hand) in [(0.06, false), (0.2, true), (0.6, false)] {
+            let (calibration, frames) = standing(file, distance);
+            let mut observer = HandDetection::Learned.observer(calibration);
+            let hand = frames.iter().filter_map(|frame| observer.update(frame)).last();
+            let seen = hand.map(|hand| hand.gesture);
+            assert_eq!(seen, Some(gesture).filter(|_| is_hand), "{file} at {distance} m");
+        }
+    }
 }
 
 /// The networks take a hand alone for a person, too. How large it is in space tells it from one.

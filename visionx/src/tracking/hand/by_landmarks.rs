@@ -7,7 +7,7 @@
 
 use std::ops::RangeInclusive;
 
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 use super::candidates::median;
 use super::depth::depth_about;
@@ -26,8 +26,9 @@ const ELSEWHERE: f64 = 0.05;
 const LONGER: f64 = 1.3;
 /// Fewer landmarks tell nothing of how far away the hand is.
 const FEWEST: usize = 8;
-/// How large a hand is, relative to a usual one.
-const SIZES: RangeInclusive<f64> = 0.6..=1.5;
+/// How large a hand is, relative to a usual one. Rendered hands are measured 0.75 to 1.1 times as large, what was taken for a hand in a
+/// pattern on a table 3.6 to 4.1 times.
+const SIZES: RangeInclusive<f64> = 0.5..=2.0;
 
 /// Measures hands by their landmarks.
 #[derive(Clone, Debug)]
@@ -90,7 +91,12 @@ impl HandsByLandmarks {
             return None;
         }
         hand.origin = median(offsets)?;
-        SIZES.contains(&hand.size()).then(|| hand.measured(frame))?
+        if !SIZES.contains(&hand.size()) {
+            // A hand may be elsewhere in the next frame.
+            self.forget();
+            return None;
+        }
+        hand.measured(frame)
     }
 }
 
@@ -138,12 +144,13 @@ impl Hand<'_> {
         }
     }
 
-    /// How large the hand is in space, relative to a usual one.
+    /// How large the hand is in space, across the picture, relative to a usual one.
     fn size(&self) -> f64 {
         let told = &self.landmarks.in_hand;
         let places = self.landmarks.points.iter().zip(told);
-        let places: Vec<_> = places.map(|(px, told)| self.at(px, told.z + self.origin)).collect();
-        spread(&places) / spread(told).max(f64::MIN_POSITIVE)
+        let places: Vec<_> = places.map(|(px, told)| self.at(px, told.z + self.origin).xy()).collect();
+        let told: Vec<_> = told.iter().map(Point3::xy).collect();
+        spread(&places) / spread(&told).max(f64::MIN_POSITIVE)
     }
 
     fn measured(&self, frame: &StereoFrame) -> Option<MeasuredHand> {
@@ -217,8 +224,8 @@ impl Hand<'_> {
 }
 
 /// How far points are from their middle, as the root of the mean square.
-fn spread(points: &[Point3<f64>]) -> f64 {
+fn spread(points: &[Point2<f64>]) -> f64 {
     let n = points.len() as f64;
-    let middle = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
+    let middle = points.iter().map(|p| p.coords).sum::<Vector2<f64>>() / n;
     (points.iter().map(|p| (p.coords - middle).norm_squared()).sum::<f64>() / n).sqrt()
 }
