@@ -9,6 +9,7 @@ use crate::error::HostError;
 #[derive(Debug)]
 pub(crate) struct ReportFolder {
     pub(crate) path: PathBuf,
+    /// It was not there before.
     made: bool,
     _lock: Option<File>,
 }

@@ -28,10 +28,10 @@ impl FingerPosture {
     /// How this hand holds its fingers.
     #[must_use]
     pub fn of(hand: &HandLandmarks) -> Self {
-        let [_, others @ ..] = HandLandmarks::FINGERS;
+        let [[.., thumb], others @ ..] = HandLandmarks::FINGERS;
         let at = &hand.in_hand;
         let joints = others.iter().flat_map(|[_, joints @ ..]| joints);
-        let nearest = joints.map(|joint| (at[4] - at[*joint]).norm()).fold(f64::INFINITY, f64::min);
+        let nearest = joints.map(|joint| (at[thumb] - at[*joint]).norm()).fold(f64::INFINITY, f64::min);
         let palm = (at[9] - at[0]).norm().max(1e-6);
         Self { thumb: nearest / palm, bends: hand.chains().map(|chain| bend(&chain)) }
     }
