@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use armarium_host::{Address, AgentConfig, run_agent};
-use armarium_memoryx::Followee;
+use armarium_knowledge::Followee;
 use armarium_runtime::exec::RunResult;
 
 use crate::connection_args::{AccessArgs, ConnectionArgs, LiveArgs, explained};

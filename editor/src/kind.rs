@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use armarium_memoryx::prior;
+use armarium_knowledge::prior;
 use armarium_robot::description::{self, RobotFile};
 use armarium_runtime::chart::{self, ChannelSchema, Library, Registry};
 use armarium_runtime::test_cases::TestFile;

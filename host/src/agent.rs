@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_bus::{KeyError, Session, SessionConfig, SessionError};
-use armarium_memoryx::{AgentMemory, FollowingAgent, agent_pose_update};
+use armarium_knowledge::{AgentMemory, FollowingAgent, agent_pose_update};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Outline, Registry};
 use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop, TraceSink};

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use armarium_bus::{Access, SessionConfig};
-use armarium_memoryx::{Followee, Policies, Retention};
+use armarium_knowledge::Followee;
+use armarium_memoryx::{Policies, Retention};
 use armarium_viewer::live::PageAddress;
 use armarium_visionx::HandDetection;
 

@@ -6,7 +6,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{Change, Follower, Memory, Pattern, Snapshot, WORLD, place_of};
+use armarium_knowledge::WORLD;
+use armarium_memoryx::{Change, Follower, Memory, Pattern, Snapshot, place_of};
 use armarium_simulator::referee::TruthLog;
 use armarium_simulator::{Handle, World};
 use armarium_values::Value;

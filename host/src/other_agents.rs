@@ -10,10 +10,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_memoryx::{
-    FollowedAgent, FollowingAgent, LongTermMemory, Memory, MemoryServer, RemoteMemory, ServerOptions,
-    WorkingMemory, agent_pose_update,
-};
+use armarium_knowledge::{FollowedAgent, FollowingAgent, agent_pose_update};
+use armarium_memoryx::{LongTermMemory, Memory, MemoryServer, RemoteMemory, ServerOptions, WorkingMemory};
 use armarium_robot::description;
 use armarium_runtime::exec::Controller;
 use armarium_simulator::world::AgentSpec;

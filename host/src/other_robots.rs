@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use armarium_memoryx::AgentMemory;
+use armarium_knowledge::AgentMemory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::exec::{
     Controller, DeliveryError, Executor, Peers, Raised, RemoteEvent, RunResult, Subscribers, Transport,

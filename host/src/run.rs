@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use armarium_memoryx::AgentMemory;
+use armarium_knowledge::AgentMemory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Registry;
 use armarium_runtime::exec::{Controller, RunResult};

@@ -3,10 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use armarium_memoryx::{
-    AgentMemory, GraspPose, MemoryConfig, MemoryError, MemoryLimits, ObjectClass, Policies, Policy,
-    PriorKnowledge, Restored, WorkingMemory,
-};
+use armarium_knowledge::{AgentMemory, GraspPose, MemoryConfig, ObjectClass, PriorKnowledge, Restored};
+use armarium_memoryx::{MemoryError, MemoryLimits, Policies, Policy, WorkingMemory};
 use armarium_robot::JointHistory;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::world::{BodyShape, BodySpec, RobotSpec};
@@ -157,7 +155,7 @@ pub fn usual_policies() -> Policies {
 fn grasps(body: &BodySpec) -> Vec<GraspPose> {
     let grasp = |(i, grasp): (usize, Isometry3<f64>)| GraspPose {
         name: format!("handle_{}", i + 1),
-        pose: Pose::new(Frame::from(armarium_memoryx::prior::OBJECT_FRAME), &grasp),
+        pose: Pose::new(Frame::from(armarium_knowledge::prior::OBJECT_FRAME), &grasp),
         approach: None,
         aperture: None,
     };

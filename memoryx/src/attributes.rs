@@ -49,7 +49,7 @@ impl Attributes {
     }
 
     /// From pairs in any order; the later of two with one name wins.
-    pub(crate) fn from_pairs(mut pairs: Vec<(Box<str>, Value)>) -> Self {
+    pub fn from_pairs(mut pairs: Vec<(Box<str>, Value)>) -> Self {
         if !pairs.is_sorted_by(|a, b| a.0 < b.0) {
             let map: BTreeMap<Box<str>, Value> = pairs.into_iter().collect();
             pairs = map.into_iter().collect();
@@ -59,7 +59,7 @@ impl Attributes {
 }
 
 /// A map of the fields that have a value.
-pub(crate) fn fields<const N: usize>(fields: [(&str, Option<Value>); N]) -> BTreeMap<String, Value> {
+pub fn fields<const N: usize>(fields: [(&str, Option<Value>); N]) -> BTreeMap<String, Value> {
     fields.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
 }
 

@@ -4,8 +4,9 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::updater::{Carriers, MotionModel, Settings, carried, predict};
-use armarium_memoryx::{Commit, EntityId, Instance, Pattern, Query, Snapshot, WORLD};
+use armarium_knowledge::WORLD;
+use armarium_knowledge::updater::{Carriers, MotionModel, Settings, carried, predict};
+use armarium_memoryx::{Commit, EntityId, Instance, Pattern, Query, Snapshot};
 use armarium_runtime::skill::Failure;
 use armarium_values::{Frame, Pose, Value, Vector};
 use nalgebra::{Isometry3, Point3};

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::{EntityId, Memory, ObjectClass, Snapshot, WORLD};
+use armarium_knowledge::{ObjectClass, WORLD};
+use armarium_memoryx::{EntityId, Memory, Snapshot};
 use armarium_robot::planning::KnownBox;
 use armarium_runtime::skill::Failure;
 use armarium_values::transforms::Transforms;

@@ -1,6 +1,7 @@
 //! Prior knowledge for skills: colour, size and mass of object classes.
 
-use armarium_memoryx::{Memory, ObjectClass, Snapshot};
+use armarium_knowledge::ObjectClass;
+use armarium_memoryx::{Memory, Snapshot};
 use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 
@@ -25,7 +26,8 @@ pub(crate) async fn class_of(memory: &dyn Memory, object: &Snapshot) -> Result<O
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Commit, EntityId, PriorKnowledge, WorkingMemory, tokio_clock};
+    use armarium_knowledge::PriorKnowledge;
+    use armarium_memoryx::{Commit, EntityId, WorkingMemory, tokio_clock};
 
     use super::*;
 

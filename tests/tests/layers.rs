@@ -9,21 +9,22 @@ use armarium_tests::repository::{self, Room};
 
 /// Each room, and what it may use; `ALL` is every room further up. The rooms stand in order: an arrow goes only to a room
 /// further up.
-const ALLOWED: [(&str, &[&str]); 16] = [
+const ALLOWED: [(&str, &[&str]); 17] = [
     ("values", &[]),
     ("source", &["values"]),
     ("bus", &["values"]),
     ("motion", &[]),
     ("runtime", &["values", "source", "bus"]),
     ("robot", &["values", "source", "bus"]),
-    ("memoryx", &["values", "source", "bus"]),
+    ("memoryx", &["values", "bus"]),
+    ("knowledge", &["values", "source", "bus", "memoryx"]),
     ("visionx", &["values", "source", "bus"]),
-    ("states", &["values", "runtime", "robot", "motion", "memoryx", "visionx"]),
+    ("states", &["values", "runtime", "robot", "motion", "memoryx", "knowledge", "visionx"]),
     ("simulator", &["values", "source", "robot", "visionx"]),
-    ("viewer", &["values", "runtime", "robot", "memoryx", "visionx"]),
+    ("viewer", &["values", "runtime", "robot", "visionx"]),
     ("host", ALL),
     ("experiments", &["values", "motion", "robot", "visionx", "simulator", "states", "viewer", "host"]),
-    ("editor", &["values", "source", "runtime", "robot", "memoryx", "simulator"]),
+    ("editor", &["values", "source", "runtime", "robot", "knowledge", "simulator"]),
     ("cli", ALL),
     ("tests", ALL),
 ];

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
+use armarium_knowledge::updater::Updater;
 use armarium_memoryx::RemoteMemory;
-use armarium_memoryx::updater::Updater;
 use armarium_values::Observation;
 use armarium_visionx::providers::{ProviderDescription, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};

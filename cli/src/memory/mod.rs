@@ -146,10 +146,10 @@ enum Inferences {
 }
 
 impl Inferences {
-    fn inference(self) -> std::sync::Arc<dyn armarium_memoryx::Inference> {
+    fn inference(self) -> std::sync::Arc<dyn armarium_knowledge::Inference> {
         match self {
-            Self::SpatialRelations => std::sync::Arc::new(armarium_memoryx::SpatialRelations),
-            Self::UsualPlaces => std::sync::Arc::new(armarium_memoryx::UsualPlaces),
+            Self::SpatialRelations => std::sync::Arc::new(armarium_knowledge::SpatialRelations),
+            Self::UsualPlaces => std::sync::Arc::new(armarium_knowledge::UsualPlaces),
         }
     }
 }

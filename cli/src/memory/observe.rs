@@ -3,8 +3,8 @@
 use std::io::{BufRead as _, Read as _, Write};
 use std::sync::Arc;
 
+use armarium_knowledge::updater::Updater;
 use armarium_memoryx::Memory;
-use armarium_memoryx::updater::Updater;
 use armarium_values::Observation;
 use clap::Args;
 use tokio::sync::mpsc;

@@ -3,9 +3,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use armarium_memoryx::{
-    AgentMemory, FollowSettings, MemoryConfig, Pattern, Policies, Policy, PriorKnowledge, check_name,
-};
+use armarium_knowledge::{AgentMemory, FollowSettings, MemoryConfig, PriorKnowledge};
+use armarium_memoryx::{Pattern, Policies, Policy, check_name};
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;

@@ -7,9 +7,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_knowledge::infer;
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
-    Commit, EntityId, Filter, Instance, MemoryError, Pattern, Query, Snapshot, SpatialRegion, Times, infer,
+    Commit, EntityId, Filter, Instance, MemoryError, Pattern, Query, Snapshot, SpatialRegion, Times,
 };
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;

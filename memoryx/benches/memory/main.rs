@@ -1,6 +1,6 @@
 //! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
 //! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `finding`, `beside`,
-//! `store`, `durable`, `starts`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
+//! `store`, `durable`, `starts`, `shared`, `scale`, `link`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
 //! disk) only runs when named.
 //!
 //! Rates depend on the other load of the machine; so the processor time of each item is printed too.
@@ -9,19 +9,19 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use armarium_memoryx::{
     Commit, Consolidator, EntityId, LongTermMemory, MemoryLimits, Policies, WorkingMemory,
 };
 use armarium_values::Value;
 
-mod axes;
 mod beside;
 mod durable;
 mod finding;
 mod frames;
 mod link;
+mod meter;
 #[path = "../../tests/proxy.rs"]
 mod proxy;
 mod scale;
@@ -29,6 +29,8 @@ mod shared;
 mod starts;
 mod store;
 mod working;
+
+use meter::{Meter, resident_mb, say};
 
 fn id(n: u64) -> EntityId {
     EntityId::new("Things", "bench", &format!("e{n}")).expect("a name")
@@ -49,55 +51,6 @@ fn on_file(file: &Path, policies: Policies, limits: MemoryLimits) -> (Arc<LongTe
 fn median(mut times: Vec<Duration>) -> f64 {
     times.sort_unstable();
     times[times.len() / 2].as_secs_f64() * 1e6
-}
-
-fn say(what: &str, figure: f64, unit: &str, asked: &str) {
-    println!("{what:<62} {figure:>12.2} {unit:<10} {asked}");
-}
-
-/// A field in kB of this process's status, in MB.
-fn resident_mb() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or("0");
-    line.trim().trim_end_matches(" kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
-}
-
-/// Processor time of all threads of this process, s.
-fn processor_s() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let after = stat.rsplit(')').next().unwrap_or_default();
-    let ticks = after.split_whitespace().skip(11).take(2).filter_map(|n| n.parse::<f64>().ok());
-    ticks.sum::<f64>() / 100.0
-}
-
-/// Wall-clock and processor time since construction.
-struct Meter {
-    start: Instant,
-    processor_s: f64,
-}
-
-impl Meter {
-    #[allow(clippy::disallowed_methods, reason = "figures are of the wall clock")]
-    fn start() -> Self {
-        // The clock is read last: reading the processor time takes longer than some measurements.
-        Self { processor_s: processor_s(), start: Instant::now() }
-    }
-
-    fn elapsed(&self) -> Duration {
-        self.start.elapsed()
-    }
-
-    fn processor_us(&self) -> f64 {
-        (processor_s() - self.processor_s) * 1e6
-    }
-
-    /// Prints the rate and the processor time of each item. Returns the rate, 1/s.
-    fn say(&self, what: &str, count: u64, asked: &str) -> f64 {
-        let rate = count as f64 / self.elapsed().as_secs_f64();
-        let each_us = self.processor_us() / count as f64;
-        println!("{what:<62} {rate:>12.0} {:<10} {each_us:>7.2} us of processors each; {asked}", "/s");
-        rate
-    }
 }
 
 fn main() {
@@ -129,9 +82,6 @@ fn main() {
     }
     if is_wanted("shared") {
         runtime.block_on(shared::shared());
-    }
-    if is_wanted("axes") {
-        runtime.block_on(axes::axes());
     }
     if is_wanted("scale") {
         runtime.block_on(scale::scale());

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::{AgentMemory, LongTermMemory, MemoryConfig};
+use armarium_memoryx::{LongTermMemory, MemoryLimits, Policies, Policy};
 
 use super::store::snapshot;
-use super::{Meter, id, say};
+use super::{Meter, id, on_file, say};
 
 const ENTITIES: u64 = 200_000;
 /// Snapshots of 1 kB in the large file, in groups of a thousand.
@@ -39,12 +39,13 @@ pub(super) async fn starts() {
 /// Starts until one entity is read, and until all are.
 async fn start_on(file: &std::path::Path, what: &str, entities: u64, asked_ms: u64) {
     let start = Meter::start();
-    let config = MemoryConfig::new("bench").with_store(file);
-    let agent = AgentMemory::open(&config, Arc::new(|| 1)).expect("a file");
-    agent.memory().latest_now(&id(entities - 1)).expect("it is there");
+    let (store, memory) = on_file(file, Policies::all(Policy::Everything), MemoryLimits::of_agent());
+    let memory = Arc::new(memory);
+    let _loading = store.load_beside(&memory).expect("a thread");
+    memory.latest_now(&id(entities - 1)).expect("it is there");
     let ms = start.elapsed().as_secs_f64() * 1e3;
     say(&format!("start on {what}, until one is read"), ms, "ms", &format!("asked: {asked_ms}"));
-    while agent.memory().len() < entities as usize {
+    while memory.len() < entities as usize {
         tokio::time::sleep(std::time::Duration::from_millis(5)).await;
     }
     let ms = start.elapsed().as_secs_f64() * 1e3;

@@ -10,6 +10,7 @@ use super::checked;
 use super::tests::{snapshot, store};
 use super::*;
 use crate::query::Times;
+use crate::working::WorkingMemory;
 
 /// The part of the file whose every byte is spoiled once.
 const HEADER_BYTES: usize = 512;

@@ -16,6 +16,7 @@ use super::damage_tests::file_with;
 use super::tests::{all, removed, snapshot, store};
 use super::*;
 use crate::working::Backing;
+use crate::working::WorkingMemory;
 
 /// A medium that loses power: each unsynced write may be there, missing, or there in part.
 #[derive(Clone, Debug, Default)]
@@ -464,43 +465,6 @@ fn names_that_come_and_go_leave_nothing() {
     store.persist(&[snapshot("S/p/stays", 1, 1, 1)]).unwrap();
     let dropped = store.retain(Retention { age_ns: None, bytes: Some(0) }, u64::MAX).unwrap();
     assert!(dropped.over > 0 && store.newest(&"S/p/stays".parse().unwrap()).unwrap().is_some());
-}
-
-/// What policies do not store has versions, too. The copy of an open file stands for the file of a killed process.
-#[test]
-fn acknowledged_versions_are_never_given_again() {
-    let folder = tempfile::tempdir().unwrap();
-    let policies = Policies::all(Policy::AtMost { hz: 1.0 })
-        .with("Kept", Policy::Everything)
-        .with("Changed", Policy::OnChange)
-        .with("Lost", Policy::Nothing);
-    let open = |path: &Path| {
-        let config = crate::MemoryConfig { policies: policies.clone(), ..crate::MemoryConfig::new("a") };
-        crate::AgentMemory::open(&config.with_store(path), Arc::new(|| 1)).unwrap()
-    };
-    let names = ["Kept/p/e", "Changed/p/e", "Lost/p/e", "Rated/p/e"];
-    let commit = |agent: &crate::AgentMemory, id: &str, expected: Option<u64>| {
-        let update = crate::Commit::new(id.parse().unwrap(), 7, []);
-        agent.memory().commit_now(vec![crate::Commit { expected_version: expected, ..update }])
-    };
-    let (path, killed) = (folder.path().join("ended.redb"), folder.path().join("killed.redb"));
-    let mut last = 0;
-    for _ in 0..2 {
-        let agent = open(&path);
-        for _ in 0..1500 {
-            let versions = names.map(|id| commit(&agent, id, None).unwrap()[0]);
-            assert_eq!(versions, [last + 1; 4], "an end in good order leaves no gap");
-            last += 1;
-        }
-        std::fs::copy(&path, &killed).unwrap();
-    }
-    let agent = open(&killed);
-    for id in names {
-        assert!(id.starts_with("Kept") || commit(&agent, id, Some(last)).is_err(), "{id}");
-        let version = commit(&agent, id, None).unwrap()[0];
-        assert!(version > last && (version == last + 1 || !id.starts_with("Kept")), "{id} has {version}");
-    }
-    assert_eq!(commit(&agent, "Rated/p/new", None), Ok(vec![1]), "a new name begins at 1");
 }
 
 #[test]

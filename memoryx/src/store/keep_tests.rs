@@ -9,7 +9,9 @@ use super::tests::{all, removed, snapshot, store};
 use super::*;
 use crate::attributes::Attributes;
 use crate::entity::{Commit, Instance};
+use crate::error::MemoryError;
 use crate::working::Backing;
+use crate::working::WorkingMemory;
 
 fn image(version: u64, content: u8) -> Arc<Snapshot> {
     let attributes = [("pixels", Value::Bytes(vec![content; 100_000])), ("n", Value::Int(1))];

@@ -51,9 +51,7 @@ use std::time::Duration;
 use redb::{Database, ReadableTableMetadata, TableDefinition};
 
 use crate::entity::{EntityId, Snapshot};
-use crate::error::MemoryError;
-use crate::query::{Cursor, Pattern, Query};
-use crate::working::WorkingMemory;
+use crate::query::{Pattern, Query};
 
 mod backup;
 mod checked;
@@ -62,6 +60,7 @@ mod compact;
 mod consolidate;
 mod error;
 mod exchange;
+mod loading;
 mod log;
 mod named;
 mod opening;
@@ -85,6 +84,7 @@ pub(crate) mod tests;
 pub use coding::Coding;
 pub use consolidate::{Consolidator, Policies, Policy};
 pub use error::StoreError;
+pub use loading::Loading;
 pub use named::{EntityChange, NamedSnapshot};
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
@@ -97,9 +97,6 @@ use write::{EntityCache, Totals};
 const FORMAT: u64 = 3;
 /// The earlier format, which lacks the tables `ages`, `kept`, `removed` and `given`.
 const EARLIER_FORMAT: u64 = 2;
-/// Snapshots that are loaded together, and about how many bytes of them.
-const PAGE_SIZE: usize = 1024;
-const MAX_PAGE_BYTES: u64 = 16 << 20;
 /// redb's cache, bytes.
 const CACHE_BYTES: usize = 32 << 20;
 const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
@@ -254,44 +251,6 @@ impl LongTermMemory {
     pub fn newest(&self, id: &EntityId) -> Result<Option<Arc<Snapshot>>, StoreError> {
         let query = Query::history(Pattern::entity(id)).limit(1);
         Ok(self.query(&query)?.pop())
-    }
-
-    /// Loads the newest snapshots of matching entities into working memory, with their versions. Returns how many of
-    /// them that memory did not have. Snapshots that it refuses, because they are invalid or it is full, stay in the
-    /// file only, with a log line.
-    ///
-    /// # Errors
-    /// [`MemoryError::Store`] when they cannot be read.
-    pub fn load_into(&self, memory: &WorkingMemory, pattern: Pattern) -> Result<usize, MemoryError> {
-        self.load_while(memory, pattern, &|| true)
-    }
-
-    /// As [`Self::load_into`], as long as `goes_on` is true.
-    pub(crate) fn load_while(
-        &self,
-        memory: &WorkingMemory,
-        pattern: Pattern,
-        goes_on: &dyn Fn() -> bool,
-    ) -> Result<usize, MemoryError> {
-        let (mut restored, mut refused) = (0, None);
-        let mut query =
-            Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
-        while goes_on() {
-            let found = self.query(&query)?;
-            let is_cut = query.is_filled_by(&found);
-            query.after = found.last().map(|s| Cursor::after(s));
-            let (count, error) = memory.restore(found);
-            restored += count;
-            refused = refused.or(error);
-            if !is_cut {
-                break;
-            }
-        }
-        memory.count_from(self.given_ahead()?);
-        if let Some(error) = refused {
-            tracing::warn!(%error, store = self.name, "some of what was kept is not in working memory");
-        }
-        Ok(restored)
     }
 
     /// Its size.

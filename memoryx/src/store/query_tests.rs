@@ -9,9 +9,11 @@ use proptest::prelude::*;
 use super::tests::{store, versions};
 use super::*;
 use crate::entity::Commit;
+use crate::error::MemoryError;
 use crate::memory::pages;
 use crate::place::SpatialRegion;
 use crate::query::{Cursor, Times};
+use crate::working::WorkingMemory;
 use crate::working::{Archive, Backing, MemoryLimits};
 
 /// A history with times out of order and removals, by entity.

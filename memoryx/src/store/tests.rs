@@ -10,6 +10,7 @@ use super::*;
 use crate::entity::{Commit, Instance};
 use crate::query::Times;
 use crate::working::Backing;
+use crate::working::WorkingMemory;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
     let (id, instances) = (path.parse().unwrap(), vec![Instance::new([("value", Value::Int(value))])]);

@@ -18,6 +18,7 @@ use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
 
+use crate::attributes::Attributes;
 use crate::changes::{Changes, PublishedSnapshot};
 use crate::checked_query::Answer;
 use crate::entity::{Commit, EntityId, Snapshot};
@@ -213,7 +214,7 @@ impl WorkingMemory {
     }
 
     /// Whether the time of an entity is up.
-    pub(crate) fn has_expired(&self) -> bool {
+    pub fn has_expired(&self) -> bool {
         !self.core.content().expired(self.now_ns(), 1).is_empty()
     }
 
@@ -289,22 +290,39 @@ impl WorkingMemory {
         async { answered.await.unwrap_or_else(|_| Err(ended())) }
     }
 
-    /// Makes a provider segment read-only: prior knowledge.
-    pub fn protect(&self, segment: &str, provider: &str) {
+    /// Makes a provider segment hold these entities and no others, read-only for everybody else: prior knowledge. What is
+    /// there already and has not changed keeps its version.
+    ///
+    /// # Errors
+    /// [`MemoryError::Name`] for an invalid name; as [`Self::commit_now`].
+    pub fn provide(
+        &self,
+        segment: &str,
+        provider: &str,
+        wanted: BTreeMap<&str, Attributes>,
+    ) -> Result<(), MemoryError> {
+        let now_ns = self.now_ns();
+        let held = self.query_now(&Query::latest(Pattern::segment(segment).of_provider(provider)))?;
+        let gone = held.iter().filter(|s| !wanted.contains_key(s.id.entity()));
+        let mut updates: Vec<Commit> = gone.map(|s| Commit::removal(s.id.clone(), now_ns)).collect();
+        for (name, attributes) in wanted {
+            let id = EntityId::new(segment, provider, name)?;
+            let known = held.iter().find(|s| s.id == id).and_then(|s| s.instance());
+            if known.is_none_or(|instance| instance.attributes != attributes) {
+                updates.push(Commit::new(id, now_ns, attributes));
+            }
+        }
+        self.commit_waiting(updates, true)?;
         let _alone = self.core.writer.lock();
         let mut next = Content::clone(&self.core.content());
         next.protect(segment, provider);
         self.core.publish(next, &[]);
+        Ok(())
     }
 
     /// Whether an entity is in a read-only provider segment.
     pub fn is_read_only(&self, id: &EntityId) -> bool {
         self.core.content().is_read_only(id)
-    }
-
-    /// Commits, also into read-only provider segments.
-    pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
-        self.commit_waiting(updates, true)
     }
 
     fn commit_waiting(&self, updates: Vec<Commit>, prior: bool) -> CommitResult {

@@ -214,7 +214,8 @@ fn rank(a: &Snapshot, b: &Snapshot) -> Ordering {
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Commit, MemoryLimits, WORLD, WorkingMemory, agent_pose_update};
+    use armarium_knowledge::{WORLD, agent_pose_update};
+    use armarium_memoryx::{Commit, MemoryLimits, WorkingMemory};
     use armarium_values::Pose;
     use nalgebra::Isometry3;
 

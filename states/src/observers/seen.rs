@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::updater::Updater;
+use armarium_knowledge::updater::Updater;
 use armarium_runtime::channels::Channels;
 use armarium_values::{Observation, Value};
 use armarium_visionx::{ImageError, Sight, Sighting};

@@ -1,7 +1,8 @@
 //! What memory knows of places, such as a table, for the robot's guard: its bodies keep their distance from them. And where the
 //! robot, other agents and those places stand, for the frames.
 
-use armarium_memoryx::{Pattern, Snapshot, WORLD};
+use armarium_knowledge::WORLD;
+use armarium_memoryx::{Pattern, Snapshot};
 use armarium_robot::planning::KnownBox;
 use armarium_values::transforms::Transforms;
 use armarium_values::{Frame, Value};

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::updater::Updater;
+use armarium_knowledge::updater::Updater;
 use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Observation, Type, Unit};

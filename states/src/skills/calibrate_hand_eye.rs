@@ -4,7 +4,7 @@
 //! and computed for the camera pose that is known so far. Both point sets give what is left of its error (least squares, Arun et
 //! al.). How a tool lies in the hand is not known before: the hand also turns, and that is found with the rest.
 
-use armarium_memoryx::ObjectClass;
+use armarium_knowledge::ObjectClass;
 use armarium_motion::{RigidFit, rigid_fit, rigid_fit_held};
 use armarium_robot::{Limb, LinkId, Marker};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};

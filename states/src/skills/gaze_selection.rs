@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::updater::Updater;
+use armarium_knowledge::updater::Updater;
 use armarium_motion::{GazeConfig, GazeSelection, GazeStrategy, GazeTarget, GazeView, saliency};
 use armarium_robot::Sensed;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};

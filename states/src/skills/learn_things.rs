@@ -1,6 +1,7 @@
 //! `LearnThings`: what has moved as one thing becomes a class of things, so that it is known again.
 
-use armarium_memoryx::{Commit, EntityId, ObjectClass};
+use armarium_knowledge::ObjectClass;
+use armarium_memoryx::{Commit, EntityId};
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 use armarium_visionx::segmentation::Appearance;

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_memoryx::updater::Updater;
+use armarium_knowledge::updater::Updater;
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Frame, Observation, Type, Vector};
 use armarium_visionx::{ObjectLocalizer, ObjectStep};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::updater::Updater;
+use armarium_knowledge::updater::Updater;
 use armarium_memoryx::{Pattern, Query, Snapshot};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Observation, Type, Value};

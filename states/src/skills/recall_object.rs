@@ -102,7 +102,8 @@ fn newest<'k>(
 mod tests {
     use std::collections::BTreeMap;
 
-    use armarium_memoryx::{Instance, Snapshot, WORLD, WorkingMemory, tokio_clock};
+    use armarium_knowledge::WORLD;
+    use armarium_memoryx::{Instance, Snapshot, WorkingMemory, tokio_clock};
     use armarium_values::transforms::Transforms;
     use armarium_values::{Frame, Pose};
     use parking_lot::RwLock;

@@ -1,6 +1,6 @@
 //! `VerifyGrasp`: checks that the hand holds the object: by aperture, vision and weight.
 
-use armarium_memoryx::ObjectClass;
+use armarium_knowledge::ObjectClass;
 use armarium_robot::{Load, LoadShape};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};

@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
-use armarium_memoryx::{
-    AgentMemory, Commit, EntityId, LongTermMemory, MemoryConfig, Pattern, Policies, Policy, Query, Restored,
-};
+use armarium_knowledge::{AgentMemory, MemoryConfig, Restored};
+use armarium_memoryx::{Commit, EntityId, LongTermMemory, Pattern, Policies, Policy, Query};
 use armarium_values::Value;
 
 /// Tells the second process what to do: the file, and its own name.

@@ -9,16 +9,13 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use armarium_memoryx::{Memory, MemoryError, Pattern, Snapshot};
 use armarium_values::Value;
 use async_trait::async_trait;
 
 use super::solid::{SolidObject, between};
 use super::{Conclusion, Inference, joined};
-use crate::entity::Snapshot;
-use crate::error::MemoryError;
-use crate::memory::Memory;
 use crate::prior::OBJECT_CLASSES;
-use crate::query::Pattern;
 use crate::updater::OBJECT_INSTANCES;
 
 /// The core segment of relations.

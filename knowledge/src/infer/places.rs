@@ -17,16 +17,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_memoryx::{EntityId, Memory, MemoryError, Pattern, Query, Snapshot, pages, place_of};
 use armarium_values::{Frame, Value, Vector};
 use async_trait::async_trait;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Conclusion, Inference, joined};
-use crate::entity::{EntityId, Snapshot};
-use crate::error::MemoryError;
-use crate::memory::{Memory, pages};
-use crate::place::place_of;
-use crate::query::{Pattern, Query};
 use crate::updater::OBJECT_INSTANCES;
 
 /// The core segment of usual places.

@@ -18,16 +18,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use armarium_memoryx::{
+    Commit, EntityId, Instance, Memory, MemoryError, Pattern, Query, Snapshot, check_name, fields,
+};
 use armarium_values::{Frame, Observation, ObservedPlace, Search, Shown, Value, Vector};
 use indexmap::IndexSet;
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::attributes::fields;
-use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
-use crate::error::MemoryError;
-use crate::memory::Memory;
 use crate::prior::OBJECT_CLASSES;
-use crate::query::{Pattern, Query};
 
 mod assignment;
 mod kalman;

@@ -16,17 +16,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use armarium_memoryx::{
+    Clock, Commit, EntityId, Instance, Memory, MemoryError, Pattern, Query, Snapshot, check_name,
+};
 use armarium_values::Value;
 use async_trait::async_trait;
 use sha2::{Digest, Sha256};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinSet;
-
-use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
-use crate::error::MemoryError;
-use crate::memory::Memory;
-use crate::query::{Pattern, Query};
-use crate::working::Clock;
 
 mod places;
 mod relations;

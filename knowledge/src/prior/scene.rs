@@ -15,15 +15,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use armarium_memoryx::{Commit, EntityId, MemoryError, check_name, fields};
 use armarium_source::yaml::Node;
 use armarium_source::{Finding, Findings, Rule, Source, code, form, outermost, read_node};
 use armarium_values::{Frame, Pose, Value};
 
 use super::file::duplicate;
 use super::{PriorKnowledge, pose};
-use crate::attributes::fields;
-use crate::entity::{Commit, EntityId, check_name};
-use crate::error::MemoryError;
 
 /// The core segment of scenes.
 pub const SCENES: &str = "Scenes";
@@ -195,7 +193,7 @@ impl Placed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::working::WorkingMemory;
+    use armarium_memoryx::WorkingMemory;
 
     const BREAKFAST: &str = "\
 scene: breakfast

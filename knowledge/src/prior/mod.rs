@@ -10,15 +10,10 @@
 
 use std::collections::BTreeMap;
 
+use armarium_memoryx::{MemoryError, Snapshot, WorkingMemory, check_name, fields};
 use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, UnitQuaternion};
 use serde::Serialize;
-
-use crate::attributes::{Attributes, fields};
-use crate::entity::{Commit, EntityId, Snapshot, check_name};
-use crate::error::MemoryError;
-use crate::query::{Pattern, Query};
-use crate::working::WorkingMemory;
 
 pub mod file;
 pub mod scene;
@@ -291,41 +286,20 @@ impl PriorKnowledge {
     /// everybody else. What is there already and has not changed keeps its version; what is no longer known goes.
     ///
     /// # Errors
-    /// As [`crate::Memory::commit`].
+    /// As [`WorkingMemory::provide`].
     pub fn put_into(&self, memory: &WorkingMemory) -> Result<(), MemoryError> {
-        let classes = self.classes.values().map(|class| (class.name.as_str(), class.attributes()));
-        replace(memory, OBJECT_CLASSES, classes.collect())?;
-        let scenes = self.scenes.values().map(|scene| (scene.name.as_str(), scene.attributes()));
-        replace(memory, SCENES, scenes.collect())
+        let classes = self.classes.values().map(|class| (class.name.as_str(), class.attributes().into()));
+        memory.provide(OBJECT_CLASSES, PRIOR, classes.collect())?;
+        let scenes = self.scenes.values().map(|scene| (scene.name.as_str(), scene.attributes().into()));
+        memory.provide(SCENES, PRIOR, scenes.collect())
     }
-}
-
-/// Makes the provider segment `{segment}/prior` hold these entities and no others.
-fn replace(
-    memory: &WorkingMemory,
-    segment: &str,
-    wanted: BTreeMap<&str, BTreeMap<String, Value>>,
-) -> Result<(), MemoryError> {
-    let now = memory.now_ns();
-    let held = memory.query_now(&Query::latest(Pattern::segment(segment).of_provider(PRIOR)))?;
-    let gone = held.iter().filter(|s| !wanted.contains_key(s.id.entity()));
-    let mut updates: Vec<Commit> = gone.map(|s| Commit::removal(s.id.clone(), now)).collect();
-    for (name, attributes) in wanted {
-        let id = EntityId::new(segment, PRIOR, name)?;
-        let attributes = Attributes::from(attributes);
-        let known = held.iter().find(|s| s.id == id).and_then(|s| s.instance());
-        if known.is_none_or(|instance| instance.attributes != attributes) {
-            updates.push(Commit::new(id, now, attributes));
-        }
-    }
-    memory.commit_prior(updates)?;
-    memory.protect(segment, PRIOR);
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+
+    use armarium_memoryx::{Commit, EntityId};
 
     use super::*;
 

@@ -6,13 +6,9 @@
 
 use std::collections::BTreeMap;
 
+use armarium_memoryx::{Attributes, Instance, Pattern, Query, WorkingMemory};
 use armarium_values::{Frame, FrameChange, Pose, Value, Vector, Wrench};
 use nalgebra::Isometry3;
-
-use crate::attributes::Attributes;
-use crate::entity::Instance;
-use crate::query::{Pattern, Query};
-use crate::working::WorkingMemory;
 
 /// The frame that all agents share.
 pub const WORLD: &str = "world";

@@ -10,17 +10,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use armarium_memoryx::{
+    Change, Commit, EntityId, Follower, Instance, LastSeen, Memory, MemoryError, Pattern, Query, Snapshot,
+    WorkingMemory, fields, pages,
+};
 use armarium_values::{Observation, ObservedPlace, Value, Vector};
 use tokio::task::JoinSet;
 
-use crate::attributes::fields;
-use crate::entity::{Commit, EntityId, Instance, Snapshot};
-use crate::error::MemoryError;
-use crate::follow::{Change, Follower, LastSeen};
-use crate::memory::{Memory, pages};
-use crate::query::{Pattern, Query};
 use crate::updater::{OBJECT_INSTANCES, Updater};
-use crate::working::WorkingMemory;
 
 mod agents;
 mod frames;
@@ -67,7 +64,7 @@ impl Following {
         memory: Arc<WorkingMemory>,
         settings: FollowSettings,
     ) -> Result<Self, MemoryError> {
-        crate::entity::check_name(&settings.agent)?;
+        armarium_memoryx::check_name(&settings.agent)?;
         let told = last_taken(&memory, &settings).await?;
         let follower = Follower::resume(other, settings.pattern.clone(), told).await?;
         let fuses = |provider: &String| Updater::new(Arc::<WorkingMemory>::clone(&memory), provider);
@@ -222,7 +219,7 @@ impl FollowTask {
         let confidence = moved.confidence;
         let rows = moved.covariance.get("position").and_then(|rows| rows.as_slice().try_into().ok());
         let moved = Snapshot { instances: vec![moved], ..snapshot.clone() };
-        let (frame, components) = crate::place::place_of(&moved)?;
+        let (frame, components) = armarium_memoryx::place_of(&moved)?;
         let class = moved.attribute("class")?.as_str()?.to_owned();
         let place = ObservedPlace {
             position: Vector { frame: frame.clone(), components },

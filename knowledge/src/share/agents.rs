@@ -8,17 +8,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::Session;
+use armarium_memoryx::{
+    Commit, EntityId, Memory, MemoryError, Pattern, RemoteMemory, WorkingMemory, check_name,
+};
 use armarium_values::{Pose, Value};
 use nalgebra::Isometry3;
 
 use super::frames::AGENTS;
 use super::{FollowSettings, Following, WORLD, own_from_other};
-use crate::entity::{Commit, EntityId, check_name};
-use crate::error::MemoryError;
-use crate::memory::Memory;
-use crate::query::Pattern;
-use crate::remote::RemoteMemory;
-use crate::working::WorkingMemory;
 
 /// Core segments that are followed by default.
 const DEFAULT_SEGMENTS: [&str; 2] = ["ObjectInstances", "ObjectRelations"];

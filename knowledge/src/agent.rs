@@ -9,19 +9,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::Session;
-use tokio::runtime::{Handle, RuntimeFlavor};
+use armarium_memoryx::{
+    Backing, Clock, Consolidator, Dropped, Loading, LongTermMemory, MemoryError, MemoryLimits, MemoryServer,
+    Pattern, Policies, Policy, RemoteMemory, Retention, ServerOptions, WorkingMemory,
+};
 use tokio::task::JoinSet;
 
-use crate::awaited_thread::AwaitedThread;
-use crate::error::MemoryError;
 use crate::infer::{Inference, RunningInference};
 use crate::prior::PriorKnowledge;
-use crate::query::Pattern;
-use crate::remote::RemoteMemory;
-use crate::server::{MemoryServer, ServerOptions};
 use crate::share::{FollowSettings, Following};
-use crate::store::{Consolidator, Dropped, LongTermMemory, Policies, Policy, Retention};
-use crate::working::{Backing, Clock, MemoryLimits, WorkingMemory};
 
 /// How often snapshots are stored that a policy has held back for long enough.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
@@ -115,40 +111,7 @@ pub struct AgentMemory {
     server: Option<MemoryServer>,
     inferences: Vec<RunningInference>,
     tasks: JoinSet<()>,
-    _reading: Option<LoadingThread>,
-}
-
-/// The thread that reads long-term memory into working memory after the start. Dropping it ends it.
-struct LoadingThread {
-    /// While this is there, the thread reads on. Dropped first (the order of the fields).
-    _goes_on: Arc<()>,
-    _thread: Option<AwaitedThread>,
-}
-
-impl LoadingThread {
-    /// Reads everything: beside all others where the runtime has several threads, and at once where it has one, because virtual
-    /// time does not wait for another thread.
-    fn start(store: &Arc<LongTermMemory>, memory: &Arc<WorkingMemory>) -> Result<Self, MemoryError> {
-        let goes_on = Arc::new(());
-        let many = Handle::try_current().is_ok_and(|h| h.runtime_flavor() == RuntimeFlavor::MultiThread);
-        if !many {
-            store.load_into(memory, Pattern::any())?;
-            memory.set_partial(false);
-            return Ok(Self { _goes_on: goes_on, _thread: None });
-        }
-        let (store, memory, wanted) = (Arc::clone(store), Arc::clone(memory), Arc::downgrade(&goes_on));
-        let thread = AwaitedThread::start("memory-reading", "no thread to read it", move || {
-            let goes_on = || wanted.strong_count() > 0;
-            match store.load_while(&memory, Pattern::any(), &goes_on) {
-                Ok(_) if goes_on() => memory.set_partial(false),
-                Ok(_) => {}
-                Err(error) => {
-                    tracing::error!(%error, "long-term memory could not be read into working memory")
-                }
-            }
-        });
-        Ok(Self { _goes_on: goes_on, _thread: Some(thread?) })
-    }
+    _loading: Option<Loading>,
 }
 
 impl fmt::Debug for AgentMemory {
@@ -171,21 +134,22 @@ impl AgentMemory {
             let store = Arc::new(open(file)?);
             let consolidator = Arc::new(Consolidator::new(Arc::clone(&store), config.policies.clone())?);
             memory = memory.with_backing(Arc::clone(&consolidator) as Arc<dyn Backing>);
-            if config.restored == Restored::All {
-                memory.set_partial(true);
-            } else {
+            kept = Some(consolidator);
+        }
+        let memory = Arc::new(memory);
+        let loading = match kept.as_ref().map(|kept| kept.store()) {
+            Some(store) if config.restored == Restored::All => Some(store.load_beside(&memory)?),
+            Some(store) => {
                 for segment in store.segments()?.iter().filter(|segment| config.restored.has(segment)) {
                     store.load_into(&memory, Pattern::segment(segment))?;
                 }
+                None
             }
-            kept = Some(consolidator);
-        }
+            None => None,
+        };
         config.prior.put_into(&memory)?;
-        let memory = Arc::new(memory);
-        let reading = kept.as_ref().filter(|_| config.restored == Restored::All);
-        let reading = reading.map(|kept| LoadingThread::start(kept.store(), &memory)).transpose()?;
         let tasks = JoinSet::new();
-        Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks, _reading: reading })
+        Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks, _loading: loading })
     }
 
     /// Serves the memory over `session`, follows other agents, runs inferences and retention, as the configuration
@@ -313,5 +277,51 @@ async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, ret
             Ok(Err(error)) => tracing::warn!(%error, "long-term memory could not forget"),
             Ok(Ok(_)) | Err(_) => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use armarium_memoryx::Commit;
+
+    use super::*;
+
+    /// What policies do not store has versions, too. The copy of an open file stands for the file of a killed process.
+    #[test]
+    fn acknowledged_versions_are_never_given_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let policies = Policies::all(Policy::AtMost { hz: 1.0 })
+            .with("Kept", Policy::Everything)
+            .with("Changed", Policy::OnChange)
+            .with("Lost", Policy::Nothing);
+        let open = |path: &Path| {
+            let config = MemoryConfig { policies: policies.clone(), ..MemoryConfig::new("a") };
+            AgentMemory::open(&config.with_store(path), Arc::new(|| 1)).unwrap()
+        };
+        let names = ["Kept/p/e", "Changed/p/e", "Lost/p/e", "Rated/p/e"];
+        let commit = |agent: &AgentMemory, id: &str, expected: Option<u64>| {
+            let update = Commit::new(id.parse().unwrap(), 7, []);
+            agent.memory().commit_now(vec![Commit { expected_version: expected, ..update }])
+        };
+        let (path, killed) = (folder.path().join("ended.redb"), folder.path().join("killed.redb"));
+        let mut last = 0;
+        for _ in 0..2 {
+            let agent = open(&path);
+            for _ in 0..1500 {
+                let versions = names.map(|id| commit(&agent, id, None).unwrap()[0]);
+                assert_eq!(versions, [last + 1; 4], "an end in good order leaves no gap");
+                last += 1;
+            }
+            std::fs::copy(&path, &killed).unwrap();
+        }
+        let agent = open(&killed);
+        for id in names {
+            assert!(id.starts_with("Kept") || commit(&agent, id, Some(last)).is_err(), "{id}");
+            let version = commit(&agent, id, None).unwrap()[0];
+            assert!(version > last && (version == last + 1 || !id.starts_with("Kept")), "{id} has {version}");
+        }
+        assert_eq!(commit(&agent, "Rated/p/new", None), Ok(vec![1]), "a new name begins at 1");
     }
 }

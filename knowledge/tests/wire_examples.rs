@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 
 use armarium_bus::{Session, SessionConfig};
-use armarium_memoryx::{AgentMemory, MemoryConfig};
+use armarium_knowledge::{AgentMemory, MemoryConfig};
 
 use crate::outside::not_run;
 

@@ -1,19 +1,26 @@
 //! The four axes by which Peller-Konrad et al. (arXiv 2206.02241) compare memories: transfer, compression,
 //! reproduction, prediction. The scene has a standing cup and a cup on a circular path, both observed 30 times a
-//! second for a minute, and a third cup that is left in one of three places each day.
+//! second for a minute, and a third cup that is left in one of three places each day: `cargo bench -p armarium-knowledge`.
+
+#![allow(clippy::print_stdout, reason = "it prints figures")]
 
 use std::sync::Arc;
 
-use armarium_memoryx::infer::{USUAL_PLACES, conclude_once};
+use armarium_knowledge::UsualPlaces;
+use armarium_knowledge::infer::{USUAL_PLACES, conclude_once};
 use armarium_memoryx::{
-    Commit, EntityId, Memory, MemoryLimits, Pattern, Policies, Policy, Query, Times, UsualPlaces,
-    WorkingMemory, distance, place_of,
+    Commit, Consolidator, EntityId, LongTermMemory, Memory, MemoryLimits, Pattern, Policies, Policy, Query,
+    Times, WorkingMemory, distance, place_of,
 };
 use armarium_values::{Frame, Value, Vector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Meter, on_file, say};
+#[allow(dead_code, reason = "the benchmark of memory uses all of it")]
+#[path = "../../memoryx/benches/memory/meter.rs"]
+mod meter;
+
+use meter::{Meter, say};
 
 const HZ: u64 = 30;
 const SECONDS: u64 = 60;
@@ -33,7 +40,8 @@ fn round(time_ns: u64) -> [f64; 3] {
     [0.2 * libm::cos(angle), 0.6 + 0.2 * libm::sin(angle), 0.85]
 }
 
-pub(super) async fn axes() {
+#[tokio::main(flavor = "current_thread")]
+async fn main() {
     for (name, policy) in [
         ("everything", Policy::Everything),
         ("on change", Policy::OnChange),
@@ -47,8 +55,9 @@ pub(super) async fn axes() {
 
 fn by_policy(name: &str, policy: Policy) {
     let folder = tempfile::tempdir().expect("a folder");
-    let (store, memory) =
-        on_file(&folder.path().join("axes.redb"), Policies::all(policy), MemoryLimits::default());
+    let store = Arc::new(LongTermMemory::open(&folder.path().join("axes.redb")).expect("a file"));
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(policy)).expect("it can be read");
+    let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(kept));
     let (frames, step_ns) = (HZ * SECONDS, 1_000_000_000 / HZ);
     let start = Meter::start();
     for frame in 0..frames {

@@ -1,15 +1,14 @@
 //! Following over real sessions: frames, a disconnection, reported gaps.
 
 use armarium_bus::{Session, SessionConfig};
+use armarium_memoryx::{
+    Consolidator, LongTermMemory, MemoryLimits, MemoryServer, Policies, Policy, RemoteMemory, ServerOptions,
+};
 use armarium_values::{Frame, Pose, Vector};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::*;
 use crate::proxy::{ProxyState, proxy};
-use crate::remote::RemoteMemory;
-use crate::server::{MemoryServer, ServerOptions};
-use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
-use crate::working::MemoryLimits;
 
 fn cup(time: u64, x: f64) -> Commit {
     let id = EntityId::new(OBJECT_INSTANCES, "vision", "cup").unwrap();
@@ -55,7 +54,7 @@ async fn arrived(memory: &WorkingMemory, id: &EntityId, time: u64) {
 }
 
 fn close(a: [f64; 3], b: [f64; 3]) -> bool {
-    crate::place::distance(&a, &b) < 1e-12
+    armarium_memoryx::distance(&a, &b) < 1e-12
 }
 
 #[tokio::test(start_paused = true)]

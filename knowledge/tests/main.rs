@@ -1,4 +1,4 @@
-//! An agent's memory from outside: other processes, other languages, other versions. One test program, which is built once and uses all cores.
+//! An agent's memory from outside: other processes, other languages. One test program, which is built once and uses all cores.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -6,4 +6,3 @@
 mod outside;
 mod two_processes;
 mod wire_examples;
-mod yesterday;

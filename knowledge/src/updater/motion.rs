@@ -5,13 +5,12 @@
 
 use std::sync::Arc;
 
+use armarium_memoryx::{Instance, Snapshot, place_of};
 use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 
 use super::Settings;
 use super::kalman::Gaussian;
-use crate::entity::{Instance, Snapshot};
-use crate::place::place_of;
 
 /// The variance of a position without covariance: 1 cm along each axis, squared, m².
 const UNKNOWN_VARIANCE: f64 = 1e-4;

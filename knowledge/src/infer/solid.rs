@@ -1,10 +1,8 @@
 //! Objects as boxes along the axes of their frame, with the uncertainty of their positions, and the probability of a
 //! condition on two of them. Knows no relations.
 
+use armarium_memoryx::{EntityId, Snapshot, place_of};
 use armarium_values::{Frame, Value};
-
-use crate::entity::{EntityId, Snapshot};
-use crate::place::place_of;
 
 /// The standard deviation of a position without covariance, and the lowest of any, m.
 const MIN_SIGMA: f64 = 0.005;

@@ -1,11 +1,10 @@
 //! Inference on small scenes and short histories, compared with results from geometry and counting.
 
+use armarium_memoryx::{Consolidator, LongTermMemory, MemoryLimits, Policies, Policy, WorkingMemory};
 use armarium_values::{Frame, Pose, Vector};
 use nalgebra::{Isometry3, Vector3};
 
 use super::*;
-use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
-use crate::working::{MemoryLimits, WorkingMemory};
 
 const DAY_NS: u64 = 86_400_000_000_000;
 
@@ -152,7 +151,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     // 3.5 of 4 days, half a day, and half a place as the rest for a new one.
     assert!((chances[0] - 4.0 / 5.5).abs() < 1e-12 && (chances[1] - 1.0 / 5.5).abs() < 1e-12, "{chances:?}");
     let Some(Value::Vector(place)) = found[0].attribute("position") else { panic!("no place") };
-    assert!(crate::place::distance(&place.components, &[1.0132, 0.5, 1.2]) < 2e-3, "{place:?}");
+    assert!(armarium_memoryx::distance(&place.components, &[1.0132, 0.5, 1.2]) < 2e-3, "{place:?}");
     assert_eq!(found[0].attribute("days"), Some(&Value::Int(4)));
     assert_eq!(found[0].attribute("sightings"), Some(&Value::Int(14)));
     assert_eq!(found[1].attribute("last_seen_ns"), Some(&Value::Int((4 * DAY_NS + 3 * hour) as i64)));

@@ -1,5 +1,6 @@
 //! The updater compared with closed forms: matching, fusion, prediction and enrichment.
 
+use armarium_memoryx::WorkingMemory;
 use armarium_values::Pose;
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
@@ -7,7 +8,6 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::prior::{ObjectClass, PriorKnowledge};
-use crate::working::WorkingMemory;
 
 const VARIANCE: f64 = 1e-4;
 
@@ -85,7 +85,7 @@ async fn noise_becomes_as_small_as_it_can() {
         updater.update(&[cup(f64::from(i) * 0.03, at.0, at.1)]).await.unwrap();
     }
     let found = seen(&memory, "cup");
-    let (_, position) = crate::place::place_of(&found).unwrap();
+    let (_, position) = armarium_memoryx::place_of(&found).unwrap();
     // A hundredth of the variance: 1 mm, within three of it.
     assert!((position[0] - 0.3).abs() < 3e-3 && position[1].abs() < 3e-3, "{position:?}");
     assert_eq!(memory.query_now(&Query::latest(Pattern::segment(OBJECT_INSTANCES))).unwrap().len(), 1);
