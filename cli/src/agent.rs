@@ -37,7 +37,7 @@ pub(crate) struct AgentArgs {
     #[arg(long, value_name = "CHART")]
     pub(crate) run: Option<PathBuf>,
     /// An agent whose memory is followed as soon as it is available: its `ObjectInstances` and `ObjectRelations`, or
-    /// the named core segment; may be repeated.
+    /// the named core segment (`*`: all of them); may be repeated.
     #[arg(long, value_name = "AGENT[:SEGMENT]")]
     pub(crate) follow: Vec<Followee>,
     /// End when the standard input closes: for an agent that another process starts.

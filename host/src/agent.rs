@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_bus::{KeyError, Session, SessionConfig, SessionError};
-use armarium_knowledge::{AgentMemory, FollowingAgent, agent_pose_update};
+use armarium_knowledge::{AgentMemory, agent_pose_update};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Outline, Registry};
 use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop, TraceSink};
@@ -19,7 +19,6 @@ use armarium_source::{Disk, Files as _, outermost};
 use armarium_states::observers;
 use armarium_viewer::live::PageAddress;
 use armarium_visionx::providers::{StereoProvider, offer as offer_images};
-use tokio::task::JoinSet;
 
 use crate::agent_config::AgentConfig;
 use crate::backend::Backend;
@@ -69,8 +68,9 @@ async fn serve_agent(
     let mut kept = memory_of_agent(&config.name, &world, &config.store, config.policies.clone())?;
     kept.retention = config.retention;
     kept.guarded = config.access.is_some();
+    kept.follow.clone_from(&config.follow);
     let clock = session.clone();
-    let mut memory = AgentMemory::open(&kept, Arc::new(move || clock.now_ns()))?;
+    let memory = AgentMemory::open(kept, Arc::new(move || clock.now_ns()))?;
     let simulated = match &config.eyes {
         None => Some(StagedRobot::new(&world, config.seed, memory.memory(), Vec::new(), None)?),
         Some(_) => {
@@ -79,8 +79,7 @@ async fn serve_agent(
             None
         }
     };
-    memory.share(session, &kept).await?;
-    let _followed = follow_all(config, session, &memory);
+    let _shared = memory.share(session).await?;
     let backend = match (simulated, &config.eyes) {
         (Some((robot, simulation)), _) => Backend::simulated(config, robot, simulation),
         (None, eyes) => {
@@ -194,23 +193,6 @@ async fn act(
     tasks.push(task);
     tasks.iter().for_each(tokio::task::JoinHandle::abort);
     Ok(ended)
-}
-
-/// Follows other agents until the tasks are dropped.
-fn follow_all(config: &AgentConfig, session: &Session, memory: &AgentMemory) -> JoinSet<()> {
-    let mut tasks = JoinSet::new();
-    for other in config.follow.clone() {
-        let following = FollowingAgent {
-            session: session.clone(),
-            memory: Arc::clone(memory.memory()),
-            own: config.name.clone(),
-        };
-        tasks.spawn(async move {
-            let _followed = following.follow_when_there(&other).await;
-            std::future::pending::<()>().await;
-        });
-    }
-    tasks
 }
 
 fn execute(

@@ -10,8 +10,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_knowledge::{FollowedAgent, FollowingAgent, agent_pose_update};
-use armarium_memoryx::{LongTermMemory, Memory, MemoryServer, RemoteMemory, ServerOptions, WorkingMemory};
+use armarium_knowledge::{AgentMemory, FollowedAgent, SharedMemory, agent_pose_update};
+use armarium_memoryx::{Memory, RemoteMemory, WorkingMemory};
 use armarium_robot::description;
 use armarium_runtime::exec::Controller;
 use armarium_simulator::world::AgentSpec;
@@ -41,8 +41,7 @@ pub(crate) struct Sharing {
     pub(crate) world: World,
     /// The world file, beside which the other agents' charts are.
     pub(crate) world_file: PathBuf,
-    pub(crate) memory: Arc<WorkingMemory>,
-    pub(crate) store: Arc<LongTermMemory>,
+    pub(crate) memory: Arc<AgentMemory>,
     /// The images of the other agents, by agent name.
     pub(crate) eyes: Vec<(String, Arc<dyn ImageSource>)>,
     /// The folder for the other agents' logs.
@@ -94,7 +93,7 @@ pub(crate) struct OtherAgents {
     eyes: Vec<(String, Arc<FrameSampler>)>,
     _followed: Vec<FollowedAgent>,
     _offered: Vec<Offered>,
-    _server: MemoryServer,
+    _shared: SharedMemory,
     _tasks: JoinSet<()>,
 }
 
@@ -104,9 +103,8 @@ impl OtherAgents {
     pub(crate) async fn start(sharing: Sharing) -> Result<Self, HostError> {
         let Sharing { session, world, memory, clock, .. } = &sharing;
         let own = &world.robot.name;
-        memory.commit_now(vec![agent_pose_update(own, &Isometry3::identity())?])?;
-        let options = ServerOptions { store: Some(Arc::clone(&sharing.store)), guarded: false };
-        let server = MemoryServer::start(session, own, Arc::clone(memory), options).await?;
+        memory.memory().commit_now(vec![agent_pose_update(own, &Isometry3::identity())?])?;
+        let shared = memory.share(session).await?;
         let frame = world.model()?.camera_frame().to_owned();
         let (mut offered, mut samplers) = (Vec::new(), Vec::new());
         for (agent, eyes) in &sharing.eyes {
@@ -125,8 +123,8 @@ impl OtherAgents {
         }
         let memory_log = MemoryLog::default();
         let mut tasks = JoinSet::new();
-        let shared: Arc<dyn Memory> = Arc::<WorkingMemory>::clone(memory);
-        tasks.spawn(memory_log::keep(own.clone(), shared, clock.clone(), Arc::clone(&memory_log)));
+        let known: Arc<dyn Memory> = Arc::<WorkingMemory>::clone(memory.memory());
+        tasks.spawn(memory_log::keep(own.clone(), known, clock.clone(), Arc::clone(&memory_log)));
         let mut followed = Vec::new();
         for agent in &world.agents {
             let other = follow_started(&sharing, &agent.name, &processes).await?;
@@ -140,7 +138,7 @@ impl OtherAgents {
             eyes: samplers,
             _followed: followed,
             _offered: offered,
-            _server: server,
+            _shared: shared,
             _tasks: tasks,
         })
     }
@@ -175,13 +173,8 @@ async fn follow_started(
     processes: &Mutex<Vec<Process>>,
 ) -> Result<FollowedAgent, HostError> {
     let deadline = Instant::now() + MEMORY_TIMEOUT;
-    let following = FollowingAgent {
-        session: sharing.session.clone(),
-        memory: Arc::clone(&sharing.memory),
-        own: sharing.world.robot.name.clone(),
-    };
     loop {
-        let error = match following.follow(&agent.into()).await {
+        let error = match sharing.memory.follow(&sharing.session, &agent.into()).await {
             Ok(followed) => return Ok(followed),
             Err(error) => error,
         };

@@ -251,7 +251,7 @@ impl Mover {
 
 /// What a chart runs with: the robot in its world, its memory, and the recorders.
 struct RunSetup {
-    memory: AgentMemory,
+    memory: Arc<AgentMemory>,
     robot: StagedRobot,
     frames: Arc<FrameSampler>,
     recorder: SharedRecorder,
@@ -284,7 +284,7 @@ impl RunSetup {
             }
             _ => (None, None),
         };
-        let memory = memory_of_run(world, &config.store, &config.remember)?;
+        let memory = Arc::new(memory_of_run(world, &config.store, &config.remember)?);
         let (seed, known) = (config.seed, memory.memory());
         let (mut robot, mover) = match outside {
             Some(outside) => {
@@ -321,9 +321,9 @@ impl RunSetup {
             return Ok(None);
         };
         let alone = world.world.agents.is_empty() && world.world.robots.is_empty();
-        let Some(store) = self.memory.store().filter(|_| !alone) else {
+        if alone {
             return Ok(None);
-        };
+        }
         let Mover::Simulation(simulation) = mover else {
             return Err(HostError::Driven("the world has other agents, which are simulated only"));
         };
@@ -331,8 +331,7 @@ impl RunSetup {
             session: connection.session().clone(),
             world: world.world.clone(),
             world_file: world_file.clone(),
-            memory: Arc::clone(self.memory.memory()),
-            store: Arc::clone(store),
+            memory: Arc::clone(&self.memory),
             eyes: simulation.agents(),
             folder: config.report.clone(),
             program: config.program.clone(),

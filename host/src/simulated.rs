@@ -115,14 +115,14 @@ pub fn memory_of_run(world: &World, store: &Path, remember: &[String]) -> Result
     config.restored = Restored::Only(kept);
     config.limits = MemoryLimits::default();
     config.prior = prior_knowledge(world)?;
-    Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
+    Ok(AgentMemory::open(config, armarium_memoryx::tokio_clock())?)
 }
 
 /// The memory of a robot of which nothing is kept: prior knowledge of the world's objects.
 pub(crate) fn memory_without_store(world: &World, robot: &str) -> Result<AgentMemory, HostError> {
     let mut config = MemoryConfig::new(robot);
     config.prior = prior_knowledge(world)?;
-    Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
+    Ok(AgentMemory::open(config, armarium_memoryx::tokio_clock())?)
 }
 
 /// The memory configuration of an agent that others write to. All commits are stored and loaded again at the start,

@@ -1,7 +1,7 @@
 //! The memory of one agent, put together: working memory on a long-term file, shared over Zenoh, following others.
 //!
-//! Every program opens an agent's memory here, also a run in virtual time. This file reads no command line and opens
-//! no session.
+//! Every program opens, shares and follows memories here, also a run in virtual time. This file reads no command line and
+//! opens no session.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -11,13 +11,14 @@ use std::time::Duration;
 use armarium_bus::Session;
 use armarium_memoryx::{
     Backing, Clock, Consolidator, Dropped, Loading, LongTermMemory, MemoryError, MemoryLimits, MemoryServer,
-    Pattern, Policies, Policy, RemoteMemory, Retention, ServerOptions, WorkingMemory,
+    Pattern, Policies, Policy, Retention, ServerOptions, WorkingMemory,
 };
+use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
 use crate::infer::{Inference, RunningInference};
 use crate::prior::PriorKnowledge;
-use crate::share::{FollowSettings, Following};
+use crate::share::{FollowedAgent, Followee, FollowingAgent};
 
 /// How often snapshots are stored that a policy has held back for long enough.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
@@ -25,8 +26,6 @@ const FLUSH_INTERVAL: Duration = Duration::from_secs(5);
 const EXPIRY_INTERVAL: Duration = Duration::from_millis(500);
 /// How often long-term memory forgets what is old or too much.
 const RETENTION_INTERVAL: Duration = Duration::from_secs(60);
-/// How long to wait before connecting again to an agent that is absent.
-const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How an agent's memory is put together.
 #[derive(Clone, Debug)]
@@ -45,8 +44,10 @@ pub struct MemoryConfig {
     pub retention: Retention,
     /// How much working memory holds.
     pub limits: MemoryLimits,
-    /// The agents that it follows.
-    pub follow: Vec<FollowSettings>,
+    /// The agents that it follows, as soon as they are there.
+    pub follow: Vec<Followee>,
+    /// The provider segment of `ObjectInstances` into which followed objects are fused, too.
+    pub fuse_into: Option<String>,
     /// Prior knowledge.
     pub prior: PriorKnowledge,
     /// The inferences that run on its memory.
@@ -67,6 +68,7 @@ impl MemoryConfig {
             retention: Retention::default(),
             limits: MemoryLimits::of_agent(),
             follow: Vec::new(),
+            fuse_into: None,
             prior: PriorKnowledge::new(),
             infer: Vec::new(),
             guarded: false,
@@ -103,30 +105,38 @@ impl Restored {
     }
 }
 
-/// An agent's memory. After [`Self::share`] others can use it, until this is dropped.
+/// An agent's memory.
 pub struct AgentMemory {
+    config: MemoryConfig,
     memory: Arc<WorkingMemory>,
     kept: Option<Arc<Consolidator>>,
     clock: Clock,
-    server: Option<MemoryServer>,
-    inferences: Vec<RunningInference>,
-    tasks: JoinSet<()>,
     _loading: Option<Loading>,
+    _expiry: JoinSet<()>,
+}
+
+/// What makes an agent's memory known to others and others' memories known to it, and runs its inferences and upkeep, until
+/// it is dropped.
+pub struct SharedMemory {
+    _server: MemoryServer,
+    _inferences: Vec<RunningInference>,
+    _tasks: JoinSet<()>,
 }
 
 impl fmt::Debug for AgentMemory {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("AgentMemory").field("memory", &self.memory).field("server", &self.server).finish()
+        f.debug_struct("AgentMemory").field("config", &self.config).finish_non_exhaustive()
     }
 }
 
 impl AgentMemory {
     /// Opens the file and restores its content. Where everything is restored and the runtime has several threads, that goes on
-    /// after this returns: until then, what was not read yet is looked up in the file. Nothing is shared yet.
+    /// after this returns: until then, what was not read yet is looked up in the file. What expires is removed, inside a tokio
+    /// runtime. Nothing is shared yet.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
-    pub fn open(config: &MemoryConfig, clock: Clock) -> Result<Self, MemoryError> {
+    pub fn open(config: MemoryConfig, clock: Clock) -> Result<Self, MemoryError> {
         let mut memory = WorkingMemory::new(Arc::clone(&clock)).with_limits(config.limits);
         let mut kept = None;
         if let Some(file) = &config.store {
@@ -148,8 +158,11 @@ impl AgentMemory {
             None => None,
         };
         config.prior.put_into(&memory)?;
-        let tasks = JoinSet::new();
-        Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks, _loading: loading })
+        let mut expiry = JoinSet::new();
+        if let Ok(runtime) = Handle::try_current() {
+            expiry.spawn_on(remove_expired(Arc::clone(&memory)), &runtime);
+        }
+        Ok(Self { config, memory, kept, clock, _loading: loading, _expiry: expiry })
     }
 
     /// Serves the memory over `session`, follows other agents, runs inferences and retention, as the configuration
@@ -157,37 +170,46 @@ impl AgentMemory {
     ///
     /// # Errors
     /// As [`MemoryServer::start`].
-    pub async fn share(&mut self, session: &Session, config: &MemoryConfig) -> Result<(), MemoryError> {
-        let (shared, store) = (Arc::clone(&self.memory), self.store().cloned());
-        let options = ServerOptions { store: store.clone(), guarded: config.guarded };
-        self.server = Some(MemoryServer::start(session, &config.name, shared, options).await?);
-        for inference in &config.infer {
-            let memory = Arc::<WorkingMemory>::clone(&self.memory);
-            let attached = RunningInference::start(memory, Arc::clone(inference), Arc::clone(&self.clock));
-            self.inferences.push(attached);
+    pub async fn share(&self, session: &Session) -> Result<SharedMemory, MemoryError> {
+        let (config, memory) = (&self.config, || Arc::clone(&self.memory));
+        let options = ServerOptions { store: self.store().cloned(), guarded: config.guarded };
+        let server = MemoryServer::start(session, &config.name, memory(), options).await?;
+        let infer = |inference: &Arc<dyn Inference>| {
+            RunningInference::start(memory(), Arc::clone(inference), Arc::clone(&self.clock))
+        };
+        let inferences = config.infer.iter().map(infer).collect();
+        let mut tasks = JoinSet::new();
+        for other in config.follow.clone() {
+            let following = self.following(session);
+            tasks.spawn(async move {
+                let _followed = following.follow_when_there(&other).await;
+                std::future::pending::<()>().await;
+            });
         }
-        for settings in &config.follow {
-            self.tasks.spawn(follow(session.clone(), Arc::clone(&self.memory), settings.clone()));
-        }
-        self.tasks.spawn(remove_expired(Arc::clone(&self.memory)));
         if let Some(kept) = &self.kept {
-            self.tasks.spawn(flush_now_and_then(Arc::clone(kept), Arc::clone(&self.memory)));
+            tasks.spawn(flush_now_and_then(Arc::clone(kept), memory()));
         }
-        if let Some(store) = store.filter(|_| config.retention != Retention::default()) {
-            self.tasks.spawn(keep_within(store, Arc::clone(&self.memory), config.retention));
+        if let Some(store) = self.store().filter(|_| config.retention != Retention::default()) {
+            tasks.spawn(keep_within(Arc::clone(store), memory(), config.retention));
         }
-        Ok(())
+        Ok(SharedMemory { _server: server, _inferences: inferences, _tasks: tasks })
     }
 
-    /// [`Self::open`], then [`Self::share`]. Times are the session's: ns since 1970.
+    /// Follows an agent that is there, from now on.
     ///
     /// # Errors
-    /// As [`Self::open`] and [`Self::share`].
-    pub async fn start(session: &Session, config: MemoryConfig) -> Result<Self, MemoryError> {
-        let clock = session.clone();
-        let mut agent = Self::open(&config, Arc::new(move || clock.now_ns()))?;
-        agent.share(session, &config).await?;
-        Ok(agent)
+    /// [`MemoryError::Remote`] when no memory answers under that name, or the agent does not publish its pose.
+    pub async fn follow(&self, session: &Session, other: &Followee) -> Result<FollowedAgent, MemoryError> {
+        self.following(session).follow(other).await
+    }
+
+    fn following(&self, session: &Session) -> FollowingAgent {
+        FollowingAgent {
+            session: session.clone(),
+            memory: Arc::clone(&self.memory),
+            own: self.config.name.clone(),
+            fuse_into: self.config.fuse_into.clone(),
+        }
     }
 
     /// The working memory.
@@ -206,23 +228,6 @@ impl AgentMemory {
     /// [`MemoryError::Store`] when the file cannot be written.
     pub fn flush(&self) -> Result<(), MemoryError> {
         self.kept.as_ref().map_or(Ok(()), |kept| Ok(kept.flush().map(|_| ())?))
-    }
-}
-
-/// Follows an agent that may not be there yet.
-async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSettings) {
-    loop {
-        match RemoteMemory::connect(&session, &settings.agent).await {
-            Ok(remote) => {
-                let started = Following::start(Arc::new(remote), Arc::clone(&memory), settings.clone()).await;
-                match started {
-                    Ok(_following) => std::future::pending::<()>().await,
-                    Err(error) => tracing::warn!(%error, agent = settings.agent, "cannot be followed"),
-                }
-            }
-            Err(error) => tracing::info!(%error, agent = settings.agent, "waiting for a memory to follow"),
-        }
-        tokio::time::sleep(RETRY_INTERVAL).await;
     }
 }
 
@@ -298,7 +303,7 @@ mod tests {
             .with("Lost", Policy::Nothing);
         let open = |path: &Path| {
             let config = MemoryConfig { policies: policies.clone(), ..MemoryConfig::new("a") };
-            AgentMemory::open(&config.with_store(path), Arc::new(|| 1)).unwrap()
+            AgentMemory::open(config.with_store(path), Arc::new(|| 1)).unwrap()
         };
         let names = ["Kept/p/e", "Changed/p/e", "Lost/p/e", "Rated/p/e"];
         let commit = |agent: &AgentMemory, id: &str, expected: Option<u64>| {
@@ -323,5 +328,17 @@ mod tests {
             assert!(version > last && (version == last + 1 || !id.starts_with("Kept")), "{id} has {version}");
         }
         assert_eq!(commit(&agent, "Rated/p/new", None), Ok(vec![1]), "a new name begins at 1");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_expires_is_removed_also_where_nothing_is_shared() {
+        let agent = AgentMemory::open(MemoryConfig::new("a"), armarium_memoryx::tokio_clock()).unwrap();
+        let id: armarium_memoryx::EntityId = "S/p/e".parse().unwrap();
+        let until = ("expires_ns", armarium_values::Value::Int(2_000_000_000));
+        agent.memory().commit_now(vec![Commit::new(id.clone(), 0, [until])]).unwrap();
+        tokio::time::sleep(Duration::from_millis(1900)).await;
+        assert!(agent.memory().latest_now(&id).is_ok());
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        assert!(agent.memory().latest_now(&id).is_err());
     }
 }

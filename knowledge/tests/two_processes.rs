@@ -26,7 +26,7 @@ fn shared_with(file: &Path, policy: Policy) -> AgentMemory {
     config.shared = true;
     config.policies = Policies::all(Policy::Nothing).with("Motions", policy);
     config.restored = Restored::Only(vec!["Motions".into()]);
-    AgentMemory::open(&config, Arc::new(|| 1)).unwrap()
+    AgentMemory::open(config, Arc::new(|| 1)).unwrap()
 }
 
 /// The motion that all write.
@@ -65,7 +65,7 @@ fn as_another_process() {
 /// Opens the file for itself, commits, says so, and keeps it until the standard input ends; or says that it cannot.
 fn own(file: &Path, said: &mut dyn Write) {
     let config = MemoryConfig::new("local").with_store(file);
-    match AgentMemory::open(&config, Arc::new(|| 1)) {
+    match AgentMemory::open(config, Arc::new(|| 1)) {
         Ok(agent) => {
             (0..10).for_each(|number| commit(&agent, 0, ALONE, number));
             writeln!(said, "has it").unwrap();

@@ -5,6 +5,7 @@
 
 use std::path::Path;
 use std::process::Command;
+use std::sync::Arc;
 
 use armarium_bus::{Session, SessionConfig};
 use armarium_knowledge::{AgentMemory, MemoryConfig};
@@ -40,7 +41,9 @@ async fn the_examples_run() {
     let folder = tempfile::tempdir().unwrap();
     let session = Session::open(&SessionConfig::default()).await.unwrap();
     let config = MemoryConfig::new("alice").with_store(folder.path().join("alice.redb"));
-    let agent = AgentMemory::start(&session, config).await.unwrap();
+    let clock = session.clone();
+    let agent = AgentMemory::open(config, Arc::new(move || clock.now_ns())).unwrap();
+    let _shared = agent.share(&session).await.unwrap();
     let endpoint = session.endpoints().await.remove(0);
     let run = move || Command::new(python).args(["-c", &code, &endpoint]).output();
     let output = tokio::task::spawn_blocking(run).await.unwrap().unwrap();

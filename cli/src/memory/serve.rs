@@ -2,9 +2,10 @@
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use armarium_knowledge::{AgentMemory, FollowSettings, MemoryConfig, PriorKnowledge};
-use armarium_memoryx::{Pattern, Policies, Policy, check_name};
+use armarium_knowledge::{AgentMemory, Followee, MemoryConfig, PriorKnowledge};
+use armarium_memoryx::{Policies, Policy};
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
@@ -27,9 +28,10 @@ pub(super) struct MemoryServeArgs {
     /// Draw conclusions whenever memory has changed; may be repeated.
     #[arg(long, value_name = "WHAT")]
     infer: Vec<Inferences>,
-    /// Another agent's knowledge to follow, `AGENT` or `AGENT:SEGMENT`; may be repeated.
+    /// An agent whose memory is followed as soon as it is available: its `ObjectInstances` and `ObjectRelations`, or the
+    /// named core segment (`*`: all of them); may be repeated.
     #[arg(long, value_name = "AGENT[:SEGMENT]")]
-    follow: Vec<String>,
+    follow: Vec<Followee>,
     /// Fuse followed objects into this provider segment of `ObjectInstances`.
     #[arg(long, value_name = "PROVIDER")]
     fuse_into: Option<String>,
@@ -74,10 +76,13 @@ pub(super) async fn serve(
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;
     config.retention = serve.kept.retention().map_err(CommandFailure::Argument)?;
-    config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect::<Result<_, _>>()?;
+    config.follow.clone_from(&serve.follow);
+    config.fuse_into.clone_from(&serve.fuse_into);
     let session = connection.session(access.as_ref()).await?;
     let _alive = take_name(&session, &serve.name).await?;
-    let agent = AgentMemory::start(&session, config).await?;
+    let clock = session.clone();
+    let agent = AgentMemory::open(config, Arc::new(move || clock.now_ns()))?;
+    let shared = agent.share(&session).await?;
     let endpoints = session.endpoints().await.join(" ");
     let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));
     writeln!(
@@ -88,24 +93,10 @@ pub(super) async fn serve(
     )?;
     out.flush()?;
     stopped().await;
-    drop(agent);
+    drop((shared, agent));
     // If the session cannot be closed, it ends with the process.
     let _ = session.close().await.is_ok();
     Ok(0)
-}
-
-fn settings(serve: &MemoryServeArgs, follow: &str) -> Result<FollowSettings, CommandFailure> {
-    let (agent, pattern) = match follow.split_once(':') {
-        Some((agent, segment)) => (agent, Pattern::segment(segment)),
-        None => (follow, Pattern::any()),
-    };
-    check_name(agent)?;
-    Ok(FollowSettings {
-        own: serve.name.clone(),
-        agent: agent.into(),
-        pattern,
-        fuse_into: serve.fuse_into.clone(),
-    })
 }
 
 fn at_least_one(text: &str) -> Result<usize, String> {

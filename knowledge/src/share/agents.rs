@@ -1,7 +1,5 @@
 //! Following an agent: first the agents' poses, so that the rest can be converted to one's own frame; then what the
 //! agent sees.
-//!
-//! Start at [`FollowingAgent`].
 
 use std::str::FromStr;
 use std::sync::Arc;
@@ -26,13 +24,13 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// Clocks that are further apart than this are warned of, s.
 const CLOCKS_APART_S: f64 = 0.1;
 
-/// Which agent is followed, and which core segment; by default objects and their relations. Written as `AGENT` or
-/// `AGENT:SEGMENT`.
+/// Which agent is followed, and which core segments; by default objects and their relations. Written as `AGENT` or
+/// `AGENT:SEGMENT`, where `*` stands for any characters.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Followee {
     /// The agent.
     pub agent: String,
-    /// The core segment.
+    /// The core segment, or a pattern of core segments.
     pub segment: Option<String>,
 }
 
@@ -41,9 +39,8 @@ impl FromStr for Followee {
 
     fn from_str(text: &str) -> Result<Self, MemoryError> {
         let (agent, segment) = text.split_once(':').map_or((text, None), |(agent, of)| (agent, Some(of)));
-        for name in [Some(agent), segment].into_iter().flatten() {
-            check_name(name)?;
-        }
+        check_name(agent)?;
+        segment.map_or(Ok(()), |segment| check_name(&segment.replace('*', "any")))?;
         Ok(Self { agent: agent.into(), segment: segment.map(Into::into) })
     }
 }
@@ -73,14 +70,15 @@ pub fn agent_pose_update(agent: &str, world_from_root: &Isometry3<f64>) -> Resul
 }
 
 /// The agent `own`, whose memory follows others.
-#[derive(Clone, Debug)]
-pub struct FollowingAgent {
+pub(crate) struct FollowingAgent {
     /// The session on which the others are reached.
-    pub session: Session,
+    pub(crate) session: Session,
     /// The memory that the followed knowledge is written to.
-    pub memory: Arc<WorkingMemory>,
+    pub(crate) memory: Arc<WorkingMemory>,
     /// The agent's name.
-    pub own: String,
+    pub(crate) own: String,
+    /// As [`FollowSettings::fuse_into`].
+    pub(crate) fuse_into: Option<String>,
 }
 
 impl FollowingAgent {
@@ -88,13 +86,13 @@ impl FollowingAgent {
     ///
     /// # Errors
     /// [`MemoryError::Remote`] when no memory answers under that name, or the agent does not publish its pose.
-    pub async fn follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
+    pub(crate) async fn follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
         self.try_follow(other, true).await
     }
 
     /// As [`Self::follow`], for an agent that may not be there yet. If it does not publish its pose, its objects are
     /// kept in its own frame.
-    pub async fn follow_when_there(&self, other: &Followee) -> FollowedAgent {
+    pub(crate) async fn follow_when_there(&self, other: &Followee) -> FollowedAgent {
         loop {
             match self.try_follow(other, false).await {
                 Ok(followed) => return followed,
@@ -139,8 +137,8 @@ impl FollowingAgent {
         segment: &str,
     ) -> Result<(), MemoryError> {
         let pattern = Pattern::segment(segment);
-        let settings =
-            FollowSettings { own: self.own.clone(), agent: agent.into(), pattern, fuse_into: None };
+        let (own, fuse_into) = (self.own.clone(), self.fuse_into.clone());
+        let settings = FollowSettings { own, agent: agent.into(), pattern, fuse_into };
         let remote: Arc<dyn Memory> = Arc::<RemoteMemory>::clone(&followed.remote);
         followed.followings.push(Following::start(remote, Arc::clone(&self.memory), settings).await?);
         Ok(())

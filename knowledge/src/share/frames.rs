@@ -16,7 +16,7 @@ pub const WORLD: &str = "world";
 pub(super) const AGENTS: &str = "AgentInstances";
 
 /// The pose of another agent's root frame in one's own, if memory has both agents' poses.
-pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<Isometry3<f64>> {
+pub(super) fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<Isometry3<f64>> {
     let world_from = |agent: &str| {
         let found = memory.query_now(&Query::latest(Pattern::segment(AGENTS).named(agent))).ok()?;
         let newest = found.into_iter().max_by_key(|s| s.referenced_ns)?;
@@ -33,7 +33,11 @@ pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<
 
 /// The instance in one's own frame. Poses, points, directions and wrenches in `root` are transformed with their
 /// covariances; those in the world frame stay; other frames get the agent's name as prefix.
-pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Isometry3<f64>>) -> Instance {
+pub(super) fn transformed(
+    instance: &Instance,
+    agent: &str,
+    own_from_other: Option<&Isometry3<f64>>,
+) -> Instance {
     let root = Frame::root();
     let change = own_from_other.map(|to_from_from| FrameChange { from: &root, to: &root, to_from_from });
     let moved = |name: &str, value: &Value| change.map_or_else(|| value.clone(), |by| by.value(name, value));

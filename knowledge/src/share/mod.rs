@@ -3,12 +3,10 @@
 //!
 //! Every version is copied once and in order. After a disconnection the other memory is queried for the changes
 //! since, from its long-term memory where its working memory has forgotten. Versions that are gone become a gap: the
-//! next snapshot's `origin.missed` counts them, and [`Following::missed`] counts all. Copies of a third agent's
-//! knowledge are not copied again.
+//! next snapshot's `origin.missed` counts them. Copies of a third agent's knowledge are not copied again.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use armarium_memoryx::{
     Change, Commit, EntityId, Follower, Instance, LastSeen, Memory, MemoryError, Pattern, Query, Snapshot,
@@ -22,8 +20,10 @@ use crate::updater::{OBJECT_INSTANCES, Updater};
 mod agents;
 mod frames;
 
-pub use agents::{FollowedAgent, Followee, FollowingAgent, agent_pose_update};
-pub use frames::{WORLD, own_from_other, transformed};
+pub(crate) use agents::FollowingAgent;
+pub use agents::{FollowedAgent, Followee, agent_pose_update};
+pub use frames::WORLD;
+use frames::{AGENTS, own_from_other, transformed};
 
 /// Changes that are committed together.
 const MAX_BATCH: usize = 256;
@@ -34,23 +34,21 @@ const RETRY_INTERVAL: std::time::Duration = std::time::Duration::from_millis(500
 
 /// Which agent is followed, and how.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FollowSettings {
+pub(crate) struct FollowSettings {
     /// This agent.
-    pub own: String,
+    pub(crate) own: String,
     /// The agent whose memory is followed.
-    pub agent: String,
+    pub(crate) agent: String,
     /// The entities that are followed.
-    pub pattern: Pattern,
+    pub(crate) pattern: Pattern,
     /// If given, objects with a position are also fused into this provider segment of `ObjectInstances`, as
     /// observations.
-    pub fuse_into: Option<String>,
+    pub(crate) fuse_into: Option<String>,
 }
 
 /// Follows until this is dropped.
 #[derive(Debug)]
-pub struct Following {
-    missed: Arc<AtomicU64>,
-    taken: Arc<AtomicU64>,
+pub(crate) struct Following {
     _tasks: JoinSet<()>,
 }
 
@@ -59,7 +57,7 @@ impl Following {
     ///
     /// # Errors
     /// [`MemoryError::Name`] when an agent's name is invalid; as [`Memory::query`].
-    pub async fn start(
+    pub(crate) async fn start(
         other: Arc<dyn Memory>,
         memory: Arc<WorkingMemory>,
         settings: FollowSettings,
@@ -69,22 +67,9 @@ impl Following {
         let follower = Follower::resume(other, settings.pattern.clone(), told).await?;
         let fuses = |provider: &String| Updater::new(Arc::<WorkingMemory>::clone(&memory), provider);
         let updater = settings.fuse_into.as_ref().map(fuses).transpose()?;
-        let (missed, taken) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
-        let task =
-            FollowTask { memory, settings, updater, missed: Arc::clone(&missed), taken: Arc::clone(&taken) };
         let mut tasks = JoinSet::new();
-        tasks.spawn(task.run(follower));
-        Ok(Self { missed, taken, _tasks: tasks })
-    }
-
-    /// How many versions were lost so far.
-    pub fn missed(&self) -> u64 {
-        self.missed.load(Ordering::Relaxed)
-    }
-
-    /// How many versions were copied so far.
-    pub fn taken(&self) -> u64 {
-        self.taken.load(Ordering::Relaxed)
+        tasks.spawn(FollowTask { memory, settings, updater }.run(follower));
+        Ok(Self { _tasks: tasks })
     }
 }
 
@@ -92,7 +77,7 @@ impl Following {
 ///
 /// # Errors
 /// [`MemoryError::Name`] when the combined names are too long.
-pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> {
+pub(crate) fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> {
     EntityId::new(id.segment(), &format!("{agent}.{}", id.provider()), id.entity())
 }
 
@@ -128,8 +113,6 @@ struct FollowTask {
     memory: Arc<WorkingMemory>,
     settings: FollowSettings,
     updater: Option<Updater>,
-    missed: Arc<AtomicU64>,
-    taken: Arc<AtomicU64>,
 }
 
 impl FollowTask {
@@ -151,11 +134,13 @@ impl FollowTask {
             for change in changes {
                 match change {
                     Change::Missed { id, from, to } => {
-                        let count = to - from + 1;
-                        self.missed.fetch_add(count, Ordering::Relaxed);
+                        let (count, agent) = (to - from + 1, &self.settings.agent);
+                        tracing::warn!(
+                            "`{agent}` has forgotten {count} versions of `{id}` that were not copied"
+                        );
                         *gaps.entry(id).or_insert(0) += count;
                     }
-                    Change::New(snapshot) if snapshot.attribute("origin").is_none() => {
+                    Change::New(snapshot) if self.is_wanted(&snapshot) => {
                         let missed = gaps.remove(&snapshot.id).unwrap_or(0);
                         news.push((snapshot, missed));
                     }
@@ -166,8 +151,13 @@ impl FollowTask {
         }
     }
 
+    /// Whether a snapshot is the agent's own knowledge. Agents' poses come by a following of their own, before all others.
+    fn is_wanted(&self, snapshot: &Snapshot) -> bool {
+        let comes_apart = self.settings.pattern.exact_segment().is_none() && snapshot.id.segment() == AGENTS;
+        !comes_apart && snapshot.attribute("origin").is_none()
+    }
+
     async fn take(&self, news: Vec<(Arc<Snapshot>, u64)>) {
-        let count = news.len() as u64;
         let translated = news.iter().map(|(snapshot, missed)| self.translated(snapshot, *missed));
         let updates: Vec<Commit> =
             translated.filter_map(|update| log_refusal(update, &self.settings.agent)).collect();
@@ -188,7 +178,6 @@ impl FollowTask {
                 log_refusal(updater.adopt(&[observation]).await, &self.settings.agent);
             }
         }
-        self.taken.fetch_add(count, Ordering::Relaxed);
     }
 
     /// The update of this memory for a followed snapshot, in this agent's frame.
