@@ -73,7 +73,8 @@ pub(crate) async fn load(
     network: &AgentNetwork,
     console: &dyn Console,
 ) -> Result<(Arc<Program>, Registry), HostError> {
-    let names = Arc::new(Names::of_run(world, equipment.robot.model()));
+    let given = config.inputs.iter().map(|(name, _)| name.clone()).collect();
+    let names = Arc::new(Names::of_run(world, equipment.robot.model(), given));
     let mut registry = catalog::registry(equipment, &config.skills).with_names(names);
     let agents = network.agents.as_ref();
     let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;

@@ -18,6 +18,8 @@ pub(crate) struct Names {
     postures: BTreeSet<String>,
     arms: BTreeSet<String>,
     classes: Classes,
+    /// The inputs that a run is given.
+    given: BTreeSet<String>,
 }
 
 /// Where object classes come from.
@@ -33,8 +35,8 @@ enum Classes {
 }
 
 impl Names {
-    pub(crate) fn of_run(world: &World, robot: &Model) -> Self {
-        Self { postures: postures(robot), arms: arms(robot), classes: Classes::Run(classes(world)) }
+    pub(crate) fn of_run(world: &World, robot: &Model, given: BTreeSet<String>) -> Self {
+        Self { given, classes: Classes::Run(classes(world)), ..Self::of_agent(robot) }
     }
 
     pub(crate) fn of_check(worlds: &[World]) -> Self {
@@ -50,7 +52,7 @@ impl Names {
     }
 
     pub(crate) fn of_agent(robot: &Model) -> Self {
-        Self { postures: postures(robot), arms: arms(robot), classes: Classes::Agent }
+        Self { postures: postures(robot), arms: arms(robot), ..Self::default() }
     }
 }
 
@@ -68,6 +70,10 @@ impl KnownNames for Names {
             }
             _ => None,
         }
+    }
+
+    fn is_given(&self, input: &str) -> bool {
+        self.given.contains(input)
     }
 }
 
@@ -124,7 +130,8 @@ mod tests {
         let elsewhere = World::parse(Path::new("w"), "world: w\nobjects: [{name: fork}]\n").unwrap();
         assert!(has(&Names::of_check(std::slice::from_ref(&elsewhere)), "fork"));
         let robot = elsewhere.model().unwrap();
-        let run = Names::of_run(&elsewhere, &robot);
+        let run = Names::of_run(&elsewhere, &robot, BTreeSet::from(["object".to_owned()]));
+        assert!(run.is_given("object") && !run.is_given("place"));
         assert!(has(&run, "fork") && has(&run, "sponge") && !has(&run, "cup"));
         assert_eq!(Names::of_agent(&robot).names(NameKind::ObjectClass, &chart), None);
         assert!(Names::of_agent(&robot).names(NameKind::Posture, &chart).unwrap().contains("home"));

@@ -360,7 +360,7 @@ fn a_failed_run_says_why_and_through_which_states() {
 #[test]
 fn nothing_at_all_is_still_a_page() {
     let page = render(&ReportData::default());
-    assert!(page.contains("The run did not succeed") && page.ends_with("</html>\n"));
+    assert!(page.contains("Why it did not succeed") && page.ends_with("</html>\n"));
     balanced(&page);
 }
 

@@ -6,8 +6,7 @@ use armarium_memoryx::{Pattern, Query, Snapshot};
 use armarium_values::Value;
 use armarium_viewer::report::{Curve, Panel, PanelRow, picture};
 
-use super::reach::OpenedMemory;
-use super::work::{id, unusable};
+use super::reach::{OpenedMemory, id, unusable};
 use super::{CommandFailure, PlotArgs};
 
 /// Height of the picture, px of 1000.

@@ -1,12 +1,14 @@
 //! The memory that a command works on: a running agent's, or a file.
 
+use std::io;
+use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::Session;
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
-    LongTermMemory, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory, maintain,
-    pages,
+    EntityId, LongTermMemory, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory,
+    maintain, pages,
 };
 
 use super::{CommandFailure, MemoryArgs, MemoryCommand};
@@ -116,4 +118,17 @@ fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, CommandFailure> 
 pub(super) fn wall_clock_ns() -> u64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+}
+
+/// An address from the command line.
+pub(super) fn id(text: &str) -> Result<EntityId, CommandFailure> {
+    match text.split('/').collect::<Vec<_>>()[..] {
+        [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
+        _ => Err(CommandFailure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
+    }
+}
+
+/// A file that cannot be read or written.
+pub(super) fn unusable(path: &Path, error: &io::Error) -> CommandFailure {
+    CommandFailure::Argument(format!("`{}` cannot be used: {error}", path.display()))
 }

@@ -15,7 +15,7 @@ use armarium_memoryx::{
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
-use super::reach::OpenedMemory;
+use super::reach::{OpenedMemory, id, unusable};
 use super::recording;
 use super::show::Printer;
 use super::{
@@ -181,14 +181,6 @@ async fn put(reached: &OpenedMemory, put: &PutArgs, args: &MemoryArgs) -> Result
             Err(CommandFailure::Refused(format!("{error}: say who you are with --as NAME")))
         }
         Err(error) => Err(error.into()),
-    }
-}
-
-/// An address from the command line.
-pub(super) fn id(text: &str) -> Result<EntityId, CommandFailure> {
-    match text.split('/').collect::<Vec<_>>()[..] {
-        [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
-        _ => Err(CommandFailure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
     }
 }
 
@@ -363,10 +355,6 @@ async fn export(
     };
     reached.each(query, each).await?;
     Ok(to.flush()?)
-}
-
-pub(super) fn unusable(path: &Path, error: &io::Error) -> CommandFailure {
-    CommandFailure::Argument(format!("`{}` cannot be used: {error}", path.display()))
 }
 
 async fn import(reached: &OpenedMemory, file: &Path) -> Result<BTreeMap<String, u64>, CommandFailure> {

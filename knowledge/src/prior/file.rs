@@ -115,7 +115,7 @@ impl PriorKnowledge {
             }
             match read_node::<ClassFile>(Arc::clone(&source)) {
                 Ok((class, node)) if known.class(&class.object).is_some() => {
-                    findings.push(duplicate(source, node.place("object"), &class.object));
+                    findings.push(scene::duplicate(source, node.place("object"), &class.object));
                 }
                 Ok((class, _)) => {
                     known.classes.insert(class.object.clone(), class.class());
@@ -154,12 +154,6 @@ pub fn check(source: &Source, files: &dyn Files) -> Vec<Finding> {
 /// Whether a file describes an object class or a scene.
 fn is_prior(head: &str) -> bool {
     scene::is_scene(head) || outermost(head, "object").is_some()
-}
-
-/// Something that another file has already.
-pub(super) fn duplicate(source: Arc<Source>, at: Span, name: &str) -> Finding {
-    let help = Some("one of the two files has to go, or what it describes another name".into());
-    Finding::error(source, code::DUPLICATE, at, format!("`{name}` is in another file too"), help)
 }
 
 fn files(folder: &Path) -> Result<Vec<PathBuf>, Vec<Finding>> {

@@ -21,8 +21,8 @@ use std::sync::Arc;
 use redb::StorageBackend;
 
 use super::error::Fault;
+use super::facts::{EntityCache, EntityFacts};
 use super::record::{self, ByteReader, RecordError};
-use super::write::{EntityCache, EntityFacts};
 use crate::entity::{EntityId, Snapshot};
 
 /// Where the part of the file begins, behind its head, and its length.

@@ -60,6 +60,7 @@ mod compact;
 mod consolidate;
 mod error;
 mod exchange;
+mod facts;
 mod loading;
 mod log;
 mod named;
@@ -89,9 +90,10 @@ pub use named::{EntityChange, NamedSnapshot};
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
+use facts::EntityCache;
 use log::{Log, Stored};
 use parking_lot::{Mutex, RwLock};
-use write::{EntityCache, Totals};
+use write::Totals;
 
 /// The format that this program writes and reads.
 const FORMAT: u64 = 3;

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use indexmap::IndexMap;
 use parking_lot::MutexGuard;
 use redb::{ReadableTable, Table, WriteTransaction};
 
 use super::error::Fault;
+use super::facts::{EntityCache, EntityFacts, MAX_CACHED};
 use super::log::Given;
 use super::record::{self, Hash};
 use super::{
@@ -22,24 +22,6 @@ const MAX_CHUNK_BYTES: usize = 65_000;
 const MAX_CHUNK_NS: u64 = 1_000_000_000;
 /// The key in the table `given` of all entities that are not stored.
 pub(super) const OF_OTHERS: u64 = u64::MAX;
-/// Most entities in the cache.
-const MAX_CACHED: usize = 100_000;
-
-/// Cached facts about an entity.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct EntityFacts {
-    /// Unique in the file.
-    pub(super) number: u64,
-    /// 0 when nothing is kept.
-    pub(super) newest: u64,
-    pub(super) newest_referenced_ns: u64,
-    /// Whether referenced times never decrease from version to version.
-    pub(super) ordered: bool,
-}
-
-/// The entities that were written recently.
-pub(super) type EntityCache = IndexMap<EntityId, EntityFacts>;
-
 /// The numbers in the table `meta`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Totals {

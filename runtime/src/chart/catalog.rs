@@ -25,6 +25,11 @@ pub struct Registry {
 pub trait KnownNames: Send + Sync {
     /// The names of a kind that the chart in this file can use; `None` where they are not known before a run.
     fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>>;
+
+    /// Whether this input of the chart is given a value in the run, so that its default is not used.
+    fn is_given(&self, _input: &str) -> bool {
+        false
+    }
 }
 
 /// A name that does not exist.
@@ -119,6 +124,11 @@ impl Registry {
     /// The names of a kind that the chart in this file can use; `None` where they are not known before a run.
     pub fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>> {
         self.names.as_ref()?.names(kind, chart)
+    }
+
+    /// Whether a run gives a value to this input of its chart.
+    pub(super) fn is_given(&self, input: &str) -> bool {
+        self.names.as_ref().is_some_and(|names| names.is_given(input))
     }
 
     /// Whether a name exists, as far as that is known.

@@ -37,7 +37,10 @@ pub(super) fn fitting(literal: Value, node: &Node, ty: &Type, findings: &mut Fin
         }
         Err(error) => {
             let unit = matches!(error, ConvertError::Unit { .. });
-            findings.error(if unit { code::UNIT } else { code::TYPE }, node.span, error.to_string());
+            let is_no_time = *ty == Type::Duration && matches!(error, ConvertError::Type { .. });
+            let help = is_no_time.then(|| "a time is a number with its unit: `1.5s`, `200ms`".to_owned());
+            let code = if unit { code::UNIT } else { code::TYPE };
+            findings.error_help(code, node.span, error.to_string(), help);
             if let Yaml::String(text) = &node.value
                 && is_path(text)
             {

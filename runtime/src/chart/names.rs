@@ -159,9 +159,12 @@ impl Check<'_> {
         named: &BTreeMap<u32, Named>,
         assigned: &BTreeSet<u32>,
     ) {
-        // A local that something assigns need not begin with a name.
+        // A local that something assigns need not begin with a name, and no default is used where a run gives the input.
         let kept = |local: &&ChartVariable| !assigned.contains(&local.slot);
-        for input in instance.inputs.iter().chain(instance.locals.iter().filter(kept)) {
+        let is_root = chart.source.path == self.chart;
+        let used = |input: &&ChartVariable| !(is_root && self.registry.is_given(&input.declaration.name));
+        let inputs: Vec<_> = instance.inputs.iter().filter(used).collect();
+        for input in inputs.into_iter().chain(instance.locals.iter().filter(kept)) {
             let Some(Value::String(name)) = &input.declaration.default else { continue };
             let place = chart.defaults.iter().find(|(declared, _)| *declared == input.declaration.name);
             if let (Some(to), Some((_, span))) = (named.get(&input.slot), place) {

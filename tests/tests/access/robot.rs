@@ -57,8 +57,12 @@ async fn certificates_say_who_drives_who_commands_and_who_looks_on() {
         assert!(error.contains("nobody answered"), "{error}");
     }
     let driver = RemoteDriver::connect(&lab, ("motors", "arm"), &model, "lab").await.unwrap();
+    let (guard, _) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
+    GuardedDriver::new(guard, driver).run(|stamp_ns, _| stamp_ns < 20_000_000).await.unwrap();
+
+    // Links over TLS on which much goes both ways may stall (docs/memory.md, "Security"): from here on the driver is this process's.
     let (guard, own) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
-    tokio::spawn(GuardedDriver::new(guard, driver).run(|_, _| true));
+    tokio::spawn(GuardedDriver::new(guard, servo()).run(|_, _| true));
     let shared: Arc<dyn Robot> = Arc::<armarium_robot::GuardedRobot>::clone(&own);
     let _server = RobotServer::start(&lab, ("lab", "arm"), shared).await.unwrap();
 
@@ -89,7 +93,7 @@ async fn certificates_say_who_drives_who_commands_and_who_looks_on() {
             if seen.borrow_and_update().velocity[arm.joints[0]] > 0.05 {
                 return;
             }
-            // Often enough for the watchdog of 30 ms. Links over TLS on which much goes both ways may stall (docs/memory.md, "Security").
+            // Often enough for the watchdog of 30 ms.
             sleep(Duration::from_millis(10)).await;
             // On a machine with much else to do, a command may come too late, and its lease is lost.
             let velocities = vec![0.2; arm.joints.len()];

@@ -130,7 +130,7 @@ fn failure(data: &ReportData) -> String {
             format!("<p class=\"note\">It came through these states, innermost first:</p><ol>{chain}</ol>");
     }
     format!(
-        "<section class=\"failure\">\n<h2>The run did not succeed</h2>\n<p class=\"reason\">{}</p>\n{chain}\n</section>\n",
+        "<section class=\"failure\">\n<h2>Why it did not succeed</h2>\n<p class=\"reason\">{}</p>\n{chain}\n</section>\n",
         escape(reason)
     )
 }
