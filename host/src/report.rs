@@ -71,26 +71,13 @@ pub(crate) fn figures(case: &ReportedRun<'_>) -> Json {
     report
 }
 
-/// `force = 8.0, long = 60.0`, cut where it is long.
+/// `force = 8, long = 60 s`, cut where it is long: `report.json` has all.
 fn listed(values: &BTreeMap<String, Value>) -> String {
     let one = |(name, value): (&String, &Value)| {
-        let text: String = rounded(value.to_json()).to_string().chars().take(60).collect();
+        let text: String = value.to_string().chars().take(60).collect();
         format!("{name} = {text}")
     };
     values.iter().map(one).collect::<Vec<_>>().join(", ")
-}
-
-/// A value with numbers of four significant digits, for people: `report.json` has all of them.
-fn rounded(value: Json) -> Json {
-    match value {
-        Json::Number(number) if number.is_f64() => {
-            let short = number.as_f64().and_then(|number| format!("{number:.3e}").parse::<f64>().ok());
-            short.map_or(Json::Number(number), Json::from)
-        }
-        Json::Array(values) => values.into_iter().map(rounded).collect(),
-        Json::Object(values) => values.into_iter().map(|(key, value)| (key, rounded(value))).collect(),
-        other => other,
-    }
 }
 
 fn values(values: &BTreeMap<String, Value>) -> Json {
@@ -241,6 +228,6 @@ mod tests {
             ("way".to_owned(), Value::from(vec![2.0, 1e-7 / 3.0])),
             ("times".to_owned(), Value::Int(123_456)),
         ]);
-        assert_eq!(listed(&values), "times = 123456, turn = -0.7854, way = [2.0,3.333e-8]");
+        assert_eq!(listed(&values), "times = 123456, turn = -0.7854, way = [2, 3.333e-8]");
     }
 }

@@ -1,6 +1,7 @@
 //! The self-describing value that charts compute with, skills take and return, and memory stores.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
@@ -369,6 +370,71 @@ impl From<[f64; 3]> for Value {
     }
 }
 
+/// For people: numbers with at least four significant digits, bytes only counted, a reference by what it names.
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Null => f.write_str("nothing"),
+            Self::Bool(b) => write!(f, "{b}"),
+            Self::Int(i) => write!(f, "{i}"),
+            Self::Float(x) => f.write_str(&short(*x)),
+            Self::Duration(x) => write!(f, "{} s", short(*x)),
+            Self::String(s) => write!(f, "\"{s}\""),
+            Self::Bytes(b) => write!(f, "{} bytes", b.len()),
+            Self::List(items) => {
+                f.write_str("[")?;
+                separated(f, items, |f, item| write!(f, "{item}"))?;
+                f.write_str("]")
+            }
+            Self::Map(fields) => {
+                f.write_str("{")?;
+                separated(f, fields, |f, (name, field)| write!(f, "{name}: {field}"))?;
+                f.write_str("}")
+            }
+            Self::Vector(v) => write!(f, "{} in {}", point(&v.components), v.frame.0),
+            Self::Pose(p) => {
+                write!(f, "{} turned {} in {}", point(&p.position), point(&p.orientation), p.frame.0)
+            }
+            Self::Wrench(w) => {
+                write!(f, "force {} torque {} in {}", point(&w.force), point(&w.torque), w.frame.0)
+            }
+            Self::Reference(r) => f.write_str(&r.id),
+        }
+    }
+}
+
+fn separated<T>(
+    f: &mut fmt::Formatter<'_>,
+    items: impl IntoIterator<Item = T>,
+    each: impl Fn(&mut fmt::Formatter<'_>, T) -> fmt::Result,
+) -> fmt::Result {
+    for (i, item) in items.into_iter().enumerate() {
+        f.write_str(if i > 0 { ", " } else { "" })?;
+        each(f, item)?;
+    }
+    Ok(())
+}
+
+fn point(numbers: &[f64]) -> String {
+    format!("({})", numbers.iter().map(|x| short(*x)).collect::<Vec<_>>().join(", "))
+}
+
+/// A number with four digits behind the point, or four significant ones where it is below 1.
+fn short(x: f64) -> String {
+    let size = x.abs();
+    if size == 0.0 || !size.is_finite() {
+        return if size == 0.0 { "0".into() } else { x.to_string() };
+    }
+    if !(1e-4..1e12).contains(&size) {
+        let text = format!("{x:.3e}");
+        let (digits, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+        return format!("{}e{exponent}", digits.trim_end_matches('0').trim_end_matches('.'));
+    }
+    let decimals = if size >= 1.0 { 4 } else { (3.0 - libm::floor(libm::log10(size))) as usize };
+    let text = format!("{x:.decimals$}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -387,5 +453,32 @@ mod tests {
         let text = serde_json::to_string(&bytes).unwrap();
         assert_eq!(text, r#"{"bytes":[0,1,255]}"#);
         assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), bytes);
+    }
+
+    #[test]
+    fn people_read_values_without_their_types() {
+        let place = Vector { frame: "root".into(), components: [0.1, -0.0, 1234.56789] };
+        let motion = crate::Reference { kind: "Motion".into(), id: "Motions/local/wiping".into() };
+        for (value, text) in [
+            (Value::Float(-0.785_412_345), "-0.7854"),
+            (Value::Float(123_456.789), "123456.789"),
+            (Value::Float(60.0), "60"),
+            (Value::Float(0.001_234_56), "0.001235"),
+            (Value::Float(1e-7 / 3.0), "3.333e-8"),
+            (Value::Float(2e300), "2e300"),
+            (Value::Float(f64::NAN), "NaN"),
+            (Value::Float(-f64::INFINITY), "-inf"),
+            (Value::Duration(1.5), "1.5 s"),
+            (Value::from("cup"), "\"cup\""),
+            (Value::from(vec![1.0, 2.5]), "[1, 2.5]"),
+            (
+                Value::record([("data", Value::Bytes(vec![0; 6])), ("width", Value::Int(2))]),
+                "{data: 6 bytes, width: 2}",
+            ),
+            (Value::Vector(place), "(0.1, 0, 1234.5679) in root"),
+            (Value::Reference(motion), "Motions/local/wiping"),
+        ] {
+            assert_eq!(value.to_string(), text);
+        }
     }
 }

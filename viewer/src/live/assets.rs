@@ -5,12 +5,13 @@ use crate::http::{HTML, SCRIPT};
 /// A file's path, media type and content.
 pub(super) type Asset = (&'static str, &'static str, &'static str);
 
-pub(super) const ASSETS: [Asset; 10] = [
+pub(super) const ASSETS: [Asset; 11] = [
     ("/compare", HTML, include_str!("page/compare.html")),
     ("/compare.js", SCRIPT, include_str!("page/compare.js")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/app.js", SCRIPT, include_str!("page/app.js")),
     ("/run.js", SCRIPT, include_str!("page/run.js")),
+    ("/words.js", SCRIPT, include_str!("page/words.js")),
     ("/chart.js", SCRIPT, include_str!("page/chart.js")),
     ("/time.js", SCRIPT, include_str!("page/time.js")),
     ("/world.js", SCRIPT, include_str!("page/world.js")),

@@ -1,17 +1,10 @@
 // The chart: the picture of `armarium graph`, with what is active lit. Zoom, move, search, fold, and what a state is.
 
 import { run, listen, shownTime, activeAt, isLeaf, isLive, showTime, act } from '/run.js';
+import { inWords } from '/words.js';
 
 const text = (tag, content, more = {}) => Object.assign(document.createElement(tag), { textContent: content }, more);
-// Values come with their kind: `{"float": 15}`.
-const KINDS = ['bool', 'int', 'float', 'string', 'duration', 'list', 'map', 'vector', 'pose', 'wrench', 'reference'];
-function plain(data) {
-  if (Array.isArray(data)) return data.map(plain);
-  if (data === null || typeof data !== 'object') return data;
-  const [[kind, content] = [], ...more] = Object.entries(data);
-  return kind && !more.length && KINDS.includes(kind) ? plain(content) : Object.fromEntries(Object.entries(data).map(([name, field]) => [name, plain(field)]));
-}
-const value = (data) => { const shown = plain(data); return text('code', typeof shown === 'string' ? shown : JSON.stringify(shown)); };
+const value = (data) => text('code', inWords(data));
 
 export function chartView(panel) {
   panel.innerHTML = `<div class="tools"><h2>Chart</h2><input type="search" placeholder="find a state" aria-label="Find a state">

@@ -1,8 +1,9 @@
 // Memory: the entities by segment, what is known of them, how sure, since when, from whom.
 
 import { run, listen, isLive, shownTime, showTime } from '/run.js';
+import { inWords } from '/words.js';
 
-const short = (value) => { const text = typeof value === 'string' ? value : JSON.stringify(value, (_, v) => (typeof v === 'number' ? +v.toPrecision(5) : v)); return text && text.length > 140 ? `${text.slice(0, 140)}…` : text ?? ''; };
+const short = (value) => { const text = inWords(value); return text.length > 140 ? `${text.slice(0, 140)}…` : text; };
 
 export function memoryView(panel) {
   panel.innerHTML = `<div class="tools"><h2>Memory</h2><input type="search" placeholder="find an entity" aria-label="Find an entity"></div><div class="fill known" tabindex="0" role="region" aria-label="What memory knows"></div>`;
