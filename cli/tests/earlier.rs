@@ -42,10 +42,7 @@ fn a_memory_still_opens_with_all_that_it_knew() {
         "{verified}"
     );
     let cup = said(&["memory", "--store", store, "get", "ObjectInstances/me/cup"]);
-    assert!(
-        cup.contains("version 2") && cup.contains("position = (0.2, 0.4, 0.9) in root"),
-        "{cup}"
-    );
+    assert!(cup.contains("version 2") && cup.contains("position = (0.2, 0.4, 0.9) in root"), "{cup}");
     said(&["run", "wait.yaml", "--store", store, "--report", folder.path().to_str().expect("it is text")]);
 }
 
