@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_knowledge::{AgentMemory, FollowedAgent, SharedMemory, agent_pose_update};
+use armarium_knowledge::{AgentMemory, FollowedAgent, Followee, SharedMemory, agent_pose_update};
 use armarium_memoryx::{Memory, RemoteMemory, WorkingMemory};
 use armarium_robot::description;
 use armarium_runtime::exec::Controller;
@@ -174,7 +174,7 @@ async fn follow_started(
 ) -> Result<FollowedAgent, HostError> {
     let deadline = Instant::now() + MEMORY_TIMEOUT;
     loop {
-        let error = match sharing.memory.follow(&sharing.session, &agent.into()).await {
+        let error = match sharing.memory.follow(&sharing.session, &Followee::of(agent)).await {
             Ok(followed) => return Ok(followed),
             Err(error) => error,
         };

@@ -102,3 +102,30 @@ pub(super) async fn serve(
 fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "it is a whole number from 1".into())
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::connection_args::ConnectionArgs;
+
+    #[derive(Parser)]
+    struct Program {
+        #[command(flatten)]
+        serve: MemoryServeArgs,
+        #[command(flatten)]
+        _connection: ConnectionArgs,
+    }
+
+    #[test]
+    fn whom_to_follow_is_an_agent_and_a_segment() {
+        let read = |text: &str| {
+            Program::try_parse_from(["serve", "--follow", text]).map(|read| read.serve.follow[0].clone())
+        };
+        let all_of_alice = Followee { agent: "alice".into(), segment: Some("*".into()) };
+        assert_eq!(read("alice:*").ok(), Some(all_of_alice));
+        assert_eq!(read("alice").ok(), Some(Followee::of("alice")));
+        assert!(read("a/b").is_err() && read("alice:").is_err());
+    }
+}

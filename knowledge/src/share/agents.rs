@@ -45,9 +45,10 @@ impl FromStr for Followee {
     }
 }
 
-impl From<&str> for Followee {
+// No `From<&str>`: the command line would take it instead of `FromStr`, and a segment for a part of the name.
+impl Followee {
     /// The default core segments of an agent.
-    fn from(agent: &str) -> Self {
+    pub fn of(agent: &str) -> Self {
         Self { agent: agent.into(), segment: None }
     }
 }
