@@ -1,5 +1,5 @@
 //! What an agent knows of the things around it, and how it comes to know it. What is known lies in a memory
-//! ([`armarium_memoryx`]), which knows no kind of thing.
+//! ([`armarium_memoryx`]), which does not interpret it.
 //!
 //! - [`AgentMemory`]: all parts of an agent's memory, put together; it follows other agents, whose knowledge it has in its
 //!   own frame.
@@ -7,7 +7,7 @@
 //! - [`updater`]: turns observations into entities: matching, fusion, motion models.
 //! - [`Inference`]: conclusions from memory, with confidence and provenance.
 //!
-//! This room knows no image, no robot and no file of long-term memory.
+//! This room knows no image and no robot.
 
 mod agent;
 pub mod infer;

@@ -7,7 +7,8 @@
 //! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] has the messages).
 //! - [`LongTermMemory`]: storage on disk; [`Consolidator`] decides what is stored.
 //!
-//! This room knows no kind of thing: no object, no robot, no image.
+//! Of things this room knows only the attributes that the standard core segments require ([`core_segments`]), and where
+//! something is: no object class, no robot, no image.
 
 mod attributes;
 mod awaited_thread;
