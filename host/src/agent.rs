@@ -79,7 +79,7 @@ async fn serve_agent(
             None
         }
     };
-    let _shared = memory.share(session).await?;
+    let _served = memory.share(session).await?;
     let backend = match (simulated, &config.eyes) {
         (Some((robot, simulation)), _) => Backend::simulated(config, robot, simulation),
         (None, eyes) => {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::Session;
-use armarium_knowledge::{AgentMemory, FollowedAgent, Followee, SharedMemory, agent_pose_update};
+use armarium_knowledge::{AgentMemory, FollowedAgent, Followee, ServedMemory, agent_pose_update};
 use armarium_memoryx::{Memory, RemoteMemory, WorkingMemory};
 use armarium_robot::description;
 use armarium_runtime::exec::Controller;
@@ -93,7 +93,7 @@ pub(crate) struct OtherAgents {
     eyes: Vec<(String, Arc<FrameSampler>)>,
     _followed: Vec<FollowedAgent>,
     _offered: Vec<Offered>,
-    _shared: SharedMemory,
+    _served: ServedMemory,
     _tasks: JoinSet<()>,
 }
 
@@ -104,7 +104,7 @@ impl OtherAgents {
         let Sharing { session, world, memory, clock, .. } = &sharing;
         let own = &world.robot.name;
         memory.memory().commit_now(vec![agent_pose_update(own, &Isometry3::identity())?])?;
-        let shared = memory.share(session).await?;
+        let served = memory.share(session).await?;
         let frame = world.model()?.camera_frame().to_owned();
         let (mut offered, mut samplers) = (Vec::new(), Vec::new());
         for (agent, eyes) in &sharing.eyes {
@@ -138,7 +138,7 @@ impl OtherAgents {
             eyes: samplers,
             _followed: followed,
             _offered: offered,
-            _shared: shared,
+            _served: served,
             _tasks: tasks,
         })
     }

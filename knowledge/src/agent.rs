@@ -117,7 +117,7 @@ pub struct AgentMemory {
 
 /// What makes an agent's memory known to others and others' memories known to it, and runs its inferences and upkeep, until
 /// it is dropped.
-pub struct SharedMemory {
+pub struct ServedMemory {
     _server: MemoryServer,
     _inferences: Vec<RunningInference>,
     _tasks: JoinSet<()>,
@@ -170,7 +170,7 @@ impl AgentMemory {
     ///
     /// # Errors
     /// As [`MemoryServer::start`].
-    pub async fn share(&self, session: &Session) -> Result<SharedMemory, MemoryError> {
+    pub async fn share(&self, session: &Session) -> Result<ServedMemory, MemoryError> {
         let (config, memory) = (&self.config, || Arc::clone(&self.memory));
         let options = ServerOptions { store: self.store().cloned(), guarded: config.guarded };
         let server = MemoryServer::start(session, &config.name, memory(), options).await?;
@@ -192,7 +192,7 @@ impl AgentMemory {
         if let Some(store) = self.store().filter(|_| config.retention != Retention::default()) {
             tasks.spawn(keep_within(Arc::clone(store), memory(), config.retention));
         }
-        Ok(SharedMemory { _server: server, _inferences: inferences, _tasks: tasks })
+        Ok(ServedMemory { _server: server, _inferences: inferences, _tasks: tasks })
     }
 
     /// Follows an agent that is there, from now on.

@@ -15,7 +15,7 @@ pub mod prior;
 mod share;
 pub mod updater;
 
-pub use agent::{AgentMemory, MemoryConfig, Restored, SharedMemory};
+pub use agent::{AgentMemory, MemoryConfig, Restored, ServedMemory};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use share::{FollowedAgent, Followee, WORLD, agent_pose_update};

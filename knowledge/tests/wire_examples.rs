@@ -43,7 +43,7 @@ async fn the_examples_run() {
     let config = MemoryConfig::new("alice").with_store(folder.path().join("alice.redb"));
     let clock = session.clone();
     let agent = AgentMemory::open(config, Arc::new(move || clock.now_ns())).unwrap();
-    let _shared = agent.share(&session).await.unwrap();
+    let _served = agent.share(&session).await.unwrap();
     let endpoint = session.endpoints().await.remove(0);
     let run = move || Command::new(python).args(["-c", &code, &endpoint]).output();
     let output = tokio::task::spawn_blocking(run).await.unwrap().unwrap();

@@ -82,7 +82,7 @@ pub(super) async fn serve(
     let _alive = take_name(&session, &serve.name).await?;
     let clock = session.clone();
     let agent = AgentMemory::open(config, Arc::new(move || clock.now_ns()))?;
-    let shared = agent.share(&session).await?;
+    let served = agent.share(&session).await?;
     let endpoints = session.endpoints().await.join(" ");
     let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));
     writeln!(
@@ -93,7 +93,7 @@ pub(super) async fn serve(
     )?;
     out.flush()?;
     stopped().await;
-    drop((shared, agent));
+    drop((served, agent));
     // If the session cannot be closed, it ends with the process.
     let _ = session.close().await.is_ok();
     Ok(0)

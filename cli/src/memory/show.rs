@@ -71,7 +71,7 @@ impl Printer {
         for instance in &snapshot.instances {
             writeln!(out, "    confidence {:.3}", instance.confidence)?;
             for (name, value) in instance.attributes.iter() {
-                writeln!(out, "        {name} = {}", value)?;
+                writeln!(out, "        {name} = {value}")?;
                 if let Some(rows) = instance.covariance.get(name) {
                     writeln!(out, "            covariance {rows:?}")?;
                 }
@@ -187,7 +187,7 @@ pub(super) fn json_of(snapshot: &Snapshot) -> Json {
 }
 
 fn brief<'a>(attributes: impl Iterator<Item = (&'a str, &'a Value)>) -> String {
-    attributes.map(|(name, value)| format!("{name}={}", value)).collect::<Vec<_>>().join(" ")
+    attributes.map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join(" ")
 }
 
 fn cut(text: &str) -> String {

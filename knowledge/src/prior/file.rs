@@ -21,7 +21,7 @@ use armarium_source::{
     Disk, Files, Finding, Findings, Rule, Source, Span, code, form, is_yaml, outermost, read_node,
 };
 
-use super::{GraspPose, ObjectClass, PriorKnowledge, Recognition, scene};
+use super::{GraspPose, ObjectClass, PriorKnowledge, Recognition, duplicate, scene};
 
 /// Most files in a folder.
 const MAX_FILES: usize = 10_000;
@@ -115,7 +115,7 @@ impl PriorKnowledge {
             }
             match read_node::<ClassFile>(Arc::clone(&source)) {
                 Ok((class, node)) if known.class(&class.object).is_some() => {
-                    findings.push(scene::duplicate(source, node.place("object"), &class.object));
+                    findings.push(duplicate(source, node.place("object"), &class.object));
                 }
                 Ok((class, _)) => {
                     known.classes.insert(class.object.clone(), class.class());

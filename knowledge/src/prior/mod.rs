@@ -9,8 +9,10 @@
 //! [`ObjectClass::from_snapshot`].
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use armarium_memoryx::{MemoryError, Snapshot, WorkingMemory, check_name, fields};
+use armarium_source::{Finding, Source, Span, code};
 use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, UnitQuaternion};
 use serde::Serialize;
@@ -295,10 +297,14 @@ impl PriorKnowledge {
     }
 }
 
+/// Something that another file has already.
+fn duplicate(source: Arc<Source>, at: Span, name: &str) -> Finding {
+    let help = Some("one of the two files has to go, or what it describes another name".into());
+    Finding::error(source, code::DUPLICATE, at, format!("`{name}` is in another file too"), help)
+}
+
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use armarium_memoryx::{Commit, EntityId};
 
     use super::*;

@@ -17,10 +17,10 @@ use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, MemoryError, check_name, fields};
 use armarium_source::yaml::Node;
-use armarium_source::{Finding, Findings, Rule, Source, Span, code, form, outermost, read_node};
+use armarium_source::{Finding, Findings, Rule, Source, code, form, outermost, read_node};
 use armarium_values::{Frame, Pose, Value};
 
-use super::{PriorKnowledge, pose};
+use super::{PriorKnowledge, duplicate, pose};
 
 /// The core segment of scenes.
 pub const SCENES: &str = "Scenes";
@@ -145,12 +145,6 @@ pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene,
         }
     }
     if findings.list.is_empty() { Ok(scene) } else { Err(findings.list) }
-}
-
-/// Something that another file has already.
-pub(super) fn duplicate(source: Arc<Source>, at: Span, name: &str) -> Finding {
-    let help = Some("one of the two files has to go, or what it describes another name".into());
-    Finding::error(source, code::DUPLICATE, at, format!("`{name}` is in another file too"), help)
 }
 
 impl Scene {

@@ -161,10 +161,9 @@ impl Check<'_> {
     ) {
         // A local that something assigns need not begin with a name, and no default is used where a run gives the input.
         let kept = |local: &&ChartVariable| !assigned.contains(&local.slot);
-        let is_root = chart.source.path == self.chart;
-        let used = |input: &&ChartVariable| !(is_root && self.registry.is_given(&input.declaration.name));
-        let inputs: Vec<_> = instance.inputs.iter().filter(used).collect();
-        for input in inputs.into_iter().chain(instance.locals.iter().filter(kept)) {
+        let (registry, is_root) = (self.registry, chart.source.path == self.chart);
+        let used = |input: &&ChartVariable| !(is_root && registry.is_given(&input.declaration.name));
+        for input in instance.inputs.iter().filter(used).chain(instance.locals.iter().filter(kept)) {
             let Some(Value::String(name)) = &input.declaration.default else { continue };
             let place = chart.defaults.iter().find(|(declared, _)| *declared == input.declaration.name);
             if let (Some(to), Some((_, span))) = (named.get(&input.slot), place) {

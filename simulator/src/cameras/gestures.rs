@@ -188,18 +188,16 @@ fn gestures_are_seen_over_tables_of_any_colour() {
 /// With depth and by both eyes. Over a table of the hand's own colour networks find only a part of the hands.
 #[test]
 fn networks_see_the_gestures_over_tables_of_another_colour() {
-    for (color, seed) in [[222, 190, 150], [128, 128, 130]].into_iter().zip(2..) {
+    for (color, seed) in [[120, 84, 60], [222, 190, 150], [128, 128, 130]].into_iter().zip(1..) {
         for has_depth in [true, false] {
             let mut world = world(color);
             world.camera.depth = world.camera.depth.filter(|_| has_depth);
-            are_told(&watch(&world, seed, HandDetection::Learned));
+            let score = watch(&world, seed, HandDetection::Learned);
+            let frames: usize = score.confusion.values().sum();
+            assert!(frames > 40, "{color:?}: {score:?}");
+            assert!(score.accuracy() >= 0.95, "{color:?}: {} {score:?}", score.accuracy());
         }
     }
-}
-
-fn are_told(gestures: &Score) {
-    let frames: usize = gestures.confusion.values().sum();
-    assert!(frames > 40 && gestures.accuracy() >= 0.95, "{} {gestures:?}", gestures.accuracy());
 }
 
 /// The fingers that point stand apart by up to 14 degrees, so that their mean is not quite the hand's direction.
@@ -212,9 +210,7 @@ fn networks_see_where_a_hand_is_and_points() {
         let mounting = &mut world.camera.mounting_error;
         (mounting.rotation_deg, mounting.distance, mounting.angle_deg) = ([0.0; 3], 0.0, 0.0);
         world.camera.depth = world.camera.depth.filter(|_| has_depth);
-        let score = watch(&world, 1, hands);
-        are_told(&score);
-        let Score { palms, pointing, .. } = score;
+        let Score { palms, pointing, .. } = watch(&world, 1, hands);
         assert!(palms.len() > 40 && pointing.len() > 20, "{} {}", palms.len(), pointing.len());
         let [palm, pointing] = [palms, pointing].map(|values| EpipolarCheck::median(&values).unwrap());
         let pointing = pointing.to_degrees();
