@@ -61,6 +61,7 @@ fn main() {
     if is_wanted("working") {
         working::in_process();
         working::a_million();
+        working::together();
     }
     if is_wanted("finding") {
         finding::finding();

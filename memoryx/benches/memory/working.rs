@@ -24,6 +24,23 @@ pub(super) fn in_process() {
     say("commit in process, 1 kB, median", median(times), "us", "asked: 2");
 }
 
+/// Many updates in each commit, among many entities whose histories are long.
+pub(super) fn together() {
+    let limits = MemoryLimits { history: 64, ..MemoryLimits::default() };
+    let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(limits);
+    let write = |updates: u64| {
+        for n in 0..updates / 100 {
+            let updates = (0..100).map(|i| commit((n * 100 + i) % 20_000, 100));
+            memory.commit_now(updates.collect()).expect("it fits");
+        }
+    };
+    // So that every history is full.
+    write(20_000 * 64);
+    let start = Meter::start();
+    write(400_000);
+    start.say("updates of 100 B in process, 100 at once among 20 000", 400_000, "");
+}
+
 fn looked_up<T>(ids: &[EntityId], mut look: impl FnMut(&EntityId) -> T) -> Duration {
     let start = Meter::start();
     for id in ids {

@@ -8,8 +8,10 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 use imbl::shared_ptr::DefaultSharedPtr;
-use imbl::{GenericHashMap, OrdMap, OrdSet, Vector};
+use imbl::{GenericHashMap, OrdMap, OrdSet};
 
+use super::blocks::Blocks;
+use super::history::History;
 use super::index::Index;
 use crate::checked_query::{CheckedQuery, Selection};
 use crate::entity::{EntityId, Instance, Snapshot};
@@ -29,7 +31,7 @@ const FORGET_AFTER_NS: u64 = 60_000_000_000;
 /// Everything that a working memory holds. A copy costs a few counters.
 #[derive(Clone, Default)]
 pub(super) struct Content {
-    segments: OrdMap<Arc<str>, SegmentContent>,
+    segments: OrdMap<Arc<str>, Arc<SegmentContent>>,
     /// What is read-only: core segment and provider segment.
     read_only: OrdSet<(Arc<str>, Arc<str>)>,
     /// What the whole memory takes.
@@ -55,16 +57,14 @@ struct SegmentContent {
     index: Index,
     /// The newest changes in order: arrival time, ns, and entity. So a reader that missed a few changes finds exactly
     /// those.
-    arrivals: Vector<(u64, EntityId)>,
+    arrivals: Blocks<(u64, EntityId)>,
     /// The arrival time of the newest change that was dropped from `arrivals`, ns.
     forgotten_until: u64,
 }
 
-/// The snapshots of one entity, the newest last; never empty.
-type History = Arc<[Arc<Snapshot>]>;
-
-/// Hashed without a random key; nobody uses the order of this map.
-type Entities = GenericHashMap<EntityId, History, BuildHasherDefault<DefaultHasher>, DefaultSharedPtr>;
+/// The histories of entities, found by address (a set, which imbl does not let read its items). Hashed without a random key; nobody uses
+/// the order of this map.
+type Entities = GenericHashMap<History, (), BuildHasherDefault<DefaultHasher>, DefaultSharedPtr>;
 
 /// A part of a memory's capacity, and how many snapshots were inserted into it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -90,13 +90,17 @@ pub(super) fn owner(id: &EntityId) -> &str {
 }
 
 impl SegmentContent {
+    fn history(&self, id: &EntityId) -> Option<&History> {
+        self.entities.get_key_value(id).map(|(history, ())| history)
+    }
+
     /// Appends a change, and drops the oldest when there are too many.
     fn note_arrival(&mut self, snapshot: &Snapshot) {
         // A snapshot from a store may have arrived long ago; taking the last arrival time keeps the order.
-        let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
-        self.arrivals.push_back((snapshot.arrived_ns.max(last), snapshot.id.clone()));
+        let last = self.arrivals.last().map_or(0, |(arrived_ns, _)| *arrived_ns);
+        self.arrivals.push((snapshot.arrived_ns.max(last), snapshot.id.clone()));
         if self.arrivals.len() > ARRIVALS_PER_ENTITY * self.order.len() + MORE_ARRIVALS
-            && let Some((arrived_ns, _)) = self.arrivals.pop_front()
+            && let Some((arrived_ns, _)) = self.arrivals.take_first()
         {
             self.forgotten_until = arrived_ns;
         }
@@ -129,17 +133,17 @@ impl Content {
     }
 
     fn history(&self, id: &EntityId) -> Option<&History> {
-        self.segments.get(id.segment())?.entities.get(id)
+        self.segments.get(id.segment())?.history(id)
     }
 
     /// How many bytes the next snapshot of an entity drops from its history, if `keep` snapshots are held.
     pub(super) fn freed(&self, id: &EntityId, keep: usize) -> u64 {
         let history = self.history(id).filter(|history| history.len() >= keep);
-        history.and_then(|history| history.first()).map_or(0, |oldest| oldest.bytes())
+        history.map_or(0, |history| history.oldest().bytes())
     }
 
     pub(super) fn newest(&self, id: &EntityId) -> Option<&Arc<Snapshot>> {
-        self.history(id)?.last()
+        self.history(id).map(History::newest)
     }
 
     pub(super) fn protect(&mut self, segment: &str, provider: &str) {
@@ -163,9 +167,9 @@ impl Content {
         let from = one.or(first.map(EntityId::segment)).map_or(Unbounded, Included);
         for (_, segment) in self.segments.range::<_, str>((from, one.map_or(Unbounded, Included))) {
             let mut consider = |id: &EntityId| {
-                answer.consider(id, || segment.entities.get(id).into_iter().flat_map(|h| h.iter().cloned()))
+                answer.consider(id, || segment.history(id).into_iter().flat_map(|h| h.iter().cloned()))
             };
-            let newest = |id: &EntityId| segment.entities.get(id)?.last();
+            let newest = |id: &EntityId| segment.history(id).map(History::newest);
             let few = segment.arrived(asked).or_else(|| segment.index.candidates(asked, newest));
             let from = (first.map_or(Unbounded, Included), Unbounded);
             let goes_on = match few {
@@ -188,18 +192,25 @@ impl Content {
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
         let id = &snapshot.id;
         if !self.segments.contains_key(id.segment()) {
-            self.segments.insert(id.segment().into(), SegmentContent::default());
+            self.segments.insert(id.segment().into(), Arc::default());
         }
-        let Some(segment) = self.segments.get_mut(id.segment()) else { return };
-        let held = segment.entities.get(id).cloned().unwrap_or_default();
-        let (dropped, stays) = held.split_at((held.len() + 1).saturating_sub(keep));
-        let freed =
-            Usage { bytes: dropped.iter().map(|snapshot| snapshot.bytes()).sum(), ..Usage::default() };
-        let more = Usage { entities: usize::from(held.is_empty()), bytes: snapshot.bytes(), updates: 1 };
-        if let Some(before) = held.last().filter(|before| before.is_removed()) {
+        let Some(segment) = self.segments.get_mut(id.segment()).map(Arc::make_mut) else { return };
+        let held = segment.history(id).cloned();
+        let (next, freed) = match &held {
+            Some(held) => held.followed_by(snapshot, keep),
+            None => (History::of(snapshot), 0),
+        };
+        let before = held.as_ref().map(History::newest);
+        segment.index.change(id, before.map(|before| &**before), Some(snapshot));
+        if before.is_none() {
+            segment.order.insert(id.clone());
+        }
+        segment.entities.insert(next, ());
+        segment.note_arrival(snapshot);
+        if let Some(before) = before.filter(|before| before.is_removed()) {
             self.removed.remove(&(before.arrived_ns, id.clone()));
         }
-        if let Some(expires_ns) = held.last().and_then(|before| before.expires_ns()) {
+        if let Some(expires_ns) = before.and_then(|before| before.expires_ns()) {
             self.expiring.remove(&(expires_ns, id.clone()));
         }
         if let Some(expires_ns) = snapshot.expires_ns() {
@@ -208,15 +219,9 @@ impl Content {
         if snapshot.is_removed() {
             self.removed.insert((snapshot.arrived_ns, id.clone()));
         }
-        segment.index.change(id, held.last().map(|before| &**before), Some(snapshot));
-        let history = stays.iter().chain(std::iter::once(snapshot)).cloned().collect();
-        if held.is_empty() {
-            segment.order.insert(id.clone());
-        }
-        segment.entities.insert(id.clone(), history);
-        segment.note_arrival(snapshot);
         self.last_arrival = self.last_arrival.max(snapshot.arrived_ns);
-        self.count(id, more, freed);
+        let more = Usage { entities: usize::from(before.is_none()), bytes: snapshot.bytes(), updates: 1 };
+        self.count(id, more, Usage { bytes: freed, ..Usage::default() });
         for _ in 0..FORGOTTEN_PER_SNAPSHOT {
             self.forget_removed(snapshot.arrived_ns);
         }
@@ -245,15 +250,14 @@ impl Content {
         let Some(oldest) = self.removed.get_min().filter(is_over).cloned() else { return };
         self.removed.remove(&oldest);
         let (_, id) = oldest;
-        let Some(segment) = self.segments.get_mut(id.segment()) else { return };
+        let Some(segment) = self.segments.get_mut(id.segment()).map(Arc::make_mut) else { return };
         segment.order.remove(&id);
-        let history = segment.entities.remove(&id);
-        let last = history.as_ref().and_then(|history| history.last());
-        segment.index.change(&id, last.map(|last| &**last), None);
+        let history = segment.entities.remove_with_key(&id).map(|(history, ())| history);
+        segment.index.change(&id, history.as_ref().map(|history| &**history.newest()), None);
         if segment.order.is_empty() {
             self.segments.remove(id.segment());
         }
-        let bytes = history.iter().flat_map(|history| history.iter()).map(|snapshot| snapshot.bytes()).sum();
+        let bytes = history.iter().flat_map(History::iter).map(|snapshot| snapshot.bytes()).sum();
         self.count(&id, Usage::default(), Usage { entities: 1, bytes, updates: 0 });
     }
 }

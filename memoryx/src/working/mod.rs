@@ -27,8 +27,10 @@ use crate::memory::Memory;
 use crate::query::{Pattern, Query};
 use crate::schema::{SegmentSchema, core_segments};
 
+mod blocks;
 mod committing;
 mod content;
+mod history;
 mod index;
 mod merged_view;
 
