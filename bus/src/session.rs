@@ -135,19 +135,21 @@ impl Session {
 
     /// The sender of a message, for people. If the message does not name it, the sessions that this one is linked to:
     /// the message came through one of them.
-    pub async fn sender(&self, said: Option<&str>) -> String {
+    pub fn sender(&self, said: Option<&str>) -> String {
         match said {
             Some(said) => said.into(),
-            None => format!("one of those linked here: {}", self.linked().await.join(", ")),
+            None => format!("one of those linked here: {}", self.linked().join(", ")),
         }
     }
 
     /// The ids of the sessions that this one is linked to.
-    fn linked(&self) -> Pin<Box<dyn Future<Output = Vec<String>> + Send + '_>> {
-        Box::pin(async {
-            let linked = self.zenoh().info().transports().await;
-            linked.map(|transport| transport.zid().to_string()).collect()
-        })
+    fn linked(&self) -> Vec<String> {
+        self.zenoh().info().transports().wait().map(|transport| transport.zid().to_string()).collect()
+    }
+
+    /// Whether this session is linked to another one, by its id. Those that are reached through others are not.
+    pub fn is_linked(&self, id: &str) -> bool {
+        self.linked().iter().any(|linked| linked == id)
     }
 
     /// The wall clock of message timestamps, ns since 1970; no value repeats.

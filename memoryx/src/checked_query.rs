@@ -2,7 +2,7 @@
 //! does not find the entities; each memory does that itself.
 
 use std::cmp::Ordering;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -24,6 +24,8 @@ pub struct CheckedQuery<'q> {
     pub(crate) filter: Option<Filter>,
     /// The clock of the times that it names.
     pub(crate) clock: Option<TimeOf>,
+    /// Why it is not known of a snapshot whether it fits; shared with the queries that this one is divided into.
+    unknown: Arc<OnceLock<MemoryError>>,
 }
 
 impl Query {
@@ -34,11 +36,25 @@ impl Query {
     pub fn check(&self) -> Result<CheckedQuery<'_>, MemoryError> {
         self.region.as_ref().map_or(Ok(()), SpatialRegion::check)?;
         let filter = self.filter.as_deref().map(Filter::compile).transpose()?;
-        Ok(CheckedQuery { query: self, filter, clock: self.times.clock()? })
+        Ok(CheckedQuery { query: self, filter, clock: self.times.clock()?, unknown: Arc::default() })
     }
 }
 
 impl CheckedQuery<'_> {
+    /// A query that is a part of this one: it has its filter.
+    pub(crate) fn part<'q>(&self, query: &'q Query) -> CheckedQuery<'q> {
+        let (filter, unknown) = (self.filter.clone(), Arc::clone(&self.unknown));
+        CheckedQuery { query, filter, clock: self.clock, unknown }
+    }
+
+    /// Whether it is known of each snapshot so far whether it fits.
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`], naming the entity, when the filter exceeds a limit.
+    pub(crate) fn is_known(&self) -> Result<(), MemoryError> {
+        self.unknown.get().map_or(Ok(()), |why| Err(why.clone()))
+    }
+
     /// Whether an entity can be in the answer.
     pub fn wants(&self, id: &EntityId) -> bool {
         self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)
@@ -133,7 +149,13 @@ impl CheckedQuery<'_> {
                 (snapshot.id.cmp(&after.id)).then(snapshot.version.cmp(&after.version)) == Ordering::Greater
             })
             && query.region.as_ref().is_none_or(|region| region.holds(snapshot))
-            && self.filter.as_ref().is_none_or(|filter| filter.fits(snapshot))
+            && self.filter.as_ref().is_none_or(|filter| match filter.fits(snapshot) {
+                Ok(fits) => fits,
+                Err(why) => {
+                    self.unknown.get_or_init(|| why);
+                    false
+                }
+            })
     }
 
     /// The snapshot with the latest referenced time among those for which `counts` is true, unless it is a removal.
@@ -248,6 +270,7 @@ impl Selection<'_> {
     /// The whole answer. [`MemoryError::Query`] when it ended early and cannot be continued, because the nearest may be
     /// among what was not looked at; when an entity is of another clock than the query's times.
     pub(crate) fn finish(self) -> Result<Answer, MemoryError> {
+        self.asked.is_known()?;
         let query = self.asked.query;
         if let (Some(id), Some(clock)) = (&self.other_clock, self.asked.clock) {
             let other = if clock == TimeOf::Run { TimeOf::Day } else { TimeOf::Run };

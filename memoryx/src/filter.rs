@@ -3,6 +3,7 @@
 //! Names: `id`, `segment`, `provider`, `entity`, `version`, `confidence`, `referenced_s`, `sent_s`, `arrived_s`; any
 //! other name is an attribute of the hypothesis with the highest confidence (`attributes.NAME` where it has one of
 //! these names). An expression without a value, because an attribute is missing or has another type, does not match.
+//! One that exceeds a limit of evaluation is an error.
 
 use std::cell::RefCell;
 
@@ -129,13 +130,22 @@ impl Filter {
     }
 
     /// Whether a snapshot matches.
-    pub fn fits(&self, snapshot: &Snapshot) -> bool {
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`] when that is not known, because the evaluation exceeds a limit.
+    pub fn fits(&self, snapshot: &Snapshot) -> Result<bool, MemoryError> {
         let own = |name: &Name| match name {
             Name::Own(own) => OWN[*own].2(snapshot),
             Name::Attribute(_) => None,
         };
         let own = self.names.iter().map(own).collect();
-        self.expression.test(&SnapshotContext { filter: self, snapshot, own }).unwrap_or(false)
+        match self.expression.test(&SnapshotContext { filter: self, snapshot, own }) {
+            Err(error) if error.limit => {
+                let what = format!("the filter says nothing about `{}`: {}", snapshot.id, error.message);
+                Err(MemoryError::Query { what })
+            }
+            tested => Ok(tested.unwrap_or(false)),
+        }
     }
 }
 
@@ -171,7 +181,7 @@ mod tests {
             ("!(mass > 1.0)", false),
         ] {
             match Filter::compile(source) {
-                Ok(filter) => assert_eq!(filter.fits(&snapshot), expected, "{source}"),
+                Ok(filter) => assert_eq!(filter.fits(&snapshot), Ok(expected), "{source}"),
                 Err(error) => panic!("{source}: {error}"),
             }
         }

@@ -282,6 +282,63 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     never.undeclare().await.unwrap();
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_asks_for_much_makes_nobody_wait_and_ends_when_he_is_gone() {
+    let _alone = ALONE.lock().await;
+    let (far, memory, _server) = alice(MemoryLimits::default()).await;
+    let list = Value::List((0..250).map(Value::Int).collect());
+    let entity = |n: u64| {
+        Commit::new(EntityId::new("Things", "p", &format!("e{n}")).unwrap(), 1, [("a", list.clone())])
+    };
+    memory.commit_now((0..2000).map(entity).collect()).unwrap();
+    let near = connected(&far).await;
+    let carol = RemoteMemory::connect(&near, "alice").await.unwrap();
+    let one = EntityId::new("Things", "p", "e0").unwrap();
+
+    // A filter that would take hours is refused, and not answered by what it did not look at.
+    let endless = "a.exists(x, a.exists(y, a.exists(z, x + y + z == -1)))";
+    let asked = Query::latest(Pattern::any()).filter(endless);
+    let refused = carol.query(&asked).await.unwrap_err().to_string();
+    assert!(refused.contains("Things/p/e0") && refused.contains("10000 items"), "{refused}");
+
+    // Many that take long, and say nothing of parts; nobody takes their answers.
+    let greedy = connected(&far).await;
+    let slow = "a.exists(x, x + 1 == -1 || x + 2 == -1 || x + 3 == -1) || entity == 'none'";
+    let slow = Query { most: Some(1), ..Query::history(Pattern::any()).filter(slow) };
+    let slow = encode(&slow).unwrap();
+    let everything = keys::memory_commit("alice").unwrap();
+    let asking: Vec<_> = (0..300)
+        .map(|_| {
+            let (greedy, key, slow) = (greedy.clone(), everything.clone(), slow.clone());
+            let wait = Duration::from_secs(100);
+            tokio::spawn(async move { greedy.query(key, "", Some((QUERY, slow)), 1, wait).await.map(drop) })
+        })
+        .collect();
+    tokio::task::yield_now().await;
+    for _ in 0..20 {
+        let soon = Duration::from_secs(2);
+        assert!(tokio::time::timeout(soon, carol.latest(&one)).await.is_ok(), "one entity");
+        assert!(
+            tokio::time::timeout(soon, RemoteMemory::connect(&near, "alice")).await.is_ok(),
+            "a connection"
+        );
+        assert!(tokio::time::timeout(soon, carol.heads(&Pattern::segment("None"))).await.is_ok(), "a part");
+    }
+    assert!(asking.iter().filter(|asked| !asked.is_finished()).count() > 4, "some wait");
+    greedy.close().await.unwrap();
+    let since = processor_s();
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let used = processor_s() - since;
+    assert!(used < 0.5, "{used} s of a processor for somebody who is gone");
+}
+
+/// Processor time of this process, s.
+fn processor_s() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
+    let fields = stat.rsplit(')').next().unwrap().split_whitespace().skip(11).take(2);
+    fields.map(|field| field.parse::<f64>().unwrap()).sum::<f64>() / 100.0
+}
+
 /// The crate's log output: the senders of refused messages, and the number of lines.
 #[derive(Clone, Default)]
 struct CapturedLog(Arc<Mutex<(Vec<String>, usize)>>);

@@ -53,7 +53,7 @@ impl RemoteChanges {
         match wire::open::<ChangesMessage>(&message.encoding, &message.payload) {
             Ok(changes) => self.received.take(&message.key, changes),
             Err(error) => {
-                let sender = self.session.sender(message.sender.as_deref()).await;
+                let sender = self.session.sender(message.sender.as_deref());
                 tracing::warn!(%error, key = message.key, sender, "changes were not understood");
             }
         }

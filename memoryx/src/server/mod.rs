@@ -22,10 +22,12 @@ use crate::store::LongTermMemory;
 use crate::wire::{self, CommitRequest, Versions};
 use crate::working::WorkingMemory;
 
+mod askers;
 mod asking;
 mod publish;
 mod refusals;
 
+use askers::Askers;
 use publish::ChangePublisher;
 use refusals::{Refusals, is_senders_fault};
 
@@ -33,8 +35,6 @@ use refusals::{Refusals, is_senders_fault};
 const QUEUE: usize = 1024;
 /// Updates without an answer that are committed together.
 const MAX_GROUP: usize = 256;
-/// Queries that are answered in parallel.
-const MAX_PARALLEL_QUERIES: usize = 8;
 /// Budget for queries that wait or are being answered, and for commits that wait, kB each.
 const BUDGET_KB: u32 = 64 << 10;
 
@@ -75,8 +75,7 @@ impl MemoryServer {
             agent: agent.into(),
             memory,
             options,
-            queries: Arc::new(Semaphore::new(MAX_PARALLEL_QUERIES)),
-            room: Arc::new(Semaphore::new(BUDGET_KB as usize)),
+            askers: Arc::new(Askers::new()),
             waiting: Arc::new(Semaphore::new(BUDGET_KB as usize)),
             turn: Arc::default(),
             refusals: Arc::default(),
@@ -109,8 +108,7 @@ struct ServedMemory {
     agent: String,
     memory: Arc<WorkingMemory>,
     options: ServerOptions,
-    queries: Arc<Semaphore>,
-    room: Arc<Semaphore>,
+    askers: Arc<Askers>,
     /// Budget for commits that wait, kB.
     waiting: Arc<Semaphore>,
     /// Held by the query that computes.
@@ -198,7 +196,7 @@ impl ServedMemory {
     async fn refuse(&self, question: &IncomingQuery, error: &MemoryError) -> Result<(), SessionError> {
         if is_senders_fault(error) {
             let said = self.writer(question).or(question.sender.as_deref());
-            self.refusals.note(&self.session.sender(said).await, &question.key, error);
+            self.refusals.note(&self.session.sender(said), &question.key, error);
         }
         match wire::seal(error) {
             Ok((encoding, payload)) => question.refuse(&encoding, payload).await,
@@ -213,7 +211,7 @@ impl ServedMemory {
             let group = waiting.take(MAX_GROUP).map(|message| (self.begin_update(&message), message));
             for (begun, message) in group.collect::<Vec<_>>() {
                 if let Err(error) = async { begun?.await }.await {
-                    let sender = self.session.sender(message.sender.as_deref()).await;
+                    let sender = self.session.sender(message.sender.as_deref());
                     self.refusals.note(&sender, &message.key, &error);
                 }
             }

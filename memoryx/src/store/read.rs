@@ -495,7 +495,8 @@ impl Archive for LongTermMemory {
             let bounds = reader.bounds(&asked, &entity)?;
             reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
         });
-        Ok(chosen?)
+        chosen?;
+        asked.is_known()
     }
 }
 

@@ -113,7 +113,7 @@ impl MergedView<'_> {
         let mut query = Query { pattern: Pattern::entity(id), limit: None, ..asked.query.clone() };
         if let Times::Index(from, to) = query.times {
             let all = Query::history(query.pattern.clone());
-            let all = CheckedQuery { query: &all, filter: None, clock: None };
+            let all = all.check()?;
             let at = |place: i64| {
                 let index = if place < 0 { -1 - place } else { place };
                 self.nth(&all, id, usize::try_from(index).unwrap_or(usize::MAX), place < 0)
@@ -121,7 +121,7 @@ impl MergedView<'_> {
             let Some((first, last)) = versions_between(from, to, at)? else { return Ok(()) };
             query.times = Times::Versions(first, last);
         }
-        let one = CheckedQuery { query: &query, filter: asked.filter.clone(), clock: asked.clock };
+        let one = asked.part(&query);
         let Some(limit) = asked.query.limit else { return self.add(&one, answer) };
         // If there are fewer, all are selected.
         let Some(first) = self.nth(&one, id, limit.saturating_sub(1), true)? else {
@@ -129,7 +129,7 @@ impl MergedView<'_> {
         };
         let after = first.checked_sub(1).map(|version| Cursor { id: id.clone(), version });
         let query = Query { after: after.or(query.after.clone()), ..query };
-        self.add(&CheckedQuery { query: &query, filter: asked.filter.clone(), clock: asked.clock }, answer)
+        self.add(&asked.part(&query), answer)
     }
 
     /// The `n`th version of an entity that a query selects, from 0, counted from the first or backwards from the

@@ -17,6 +17,7 @@ use async_trait::async_trait;
 use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
+use tokio::task::block_in_place;
 
 use crate::attributes::Attributes;
 use crate::changes::{Changes, PublishedSnapshot};
@@ -48,7 +49,7 @@ pub fn tokio_clock() -> Clock {
 }
 
 /// Entities that are removed together because their time is up.
-const MAX_EXPIRED: usize = 1000;
+const MAX_EXPIRED: usize = 10_000;
 
 /// The capacity of a working memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -226,8 +227,18 @@ impl WorkingMemory {
     /// [`MemoryError::Store`] when the backing fails.
     pub fn remove_expired(&self) -> Result<usize, MemoryError> {
         let (now_ns, mut removed) = (self.now_ns(), 0);
-        for (id, version) in self.core.content().expired(now_ns, MAX_EXPIRED) {
-            match self.commit_now(vec![Commit::removal(id, now_ns).expecting(version)]) {
+        let expired = self.core.content().expired(now_ns, MAX_EXPIRED);
+        let (sender, answers) = mpsc::channel();
+        for (id, version) in expired {
+            // Requests that wait together are stored together.
+            let updates = vec![Commit::removal(id, now_ns).expecting(version)];
+            let sender = sender.clone();
+            let answer = Box::new(move |result| drop(sender.send(result)));
+            self.request(Request { updates, sent_ns: now_ns, prior: false }, answer);
+        }
+        drop(sender);
+        for answer in answers {
+            match answer {
                 Ok(_) => removed += 1,
                 Err(MemoryError::Conflict { .. } | MemoryError::ReadOnly { .. }) => {}
                 Err(error) => return Err(error),
@@ -423,14 +434,21 @@ impl WorkingMemory {
     /// As [`Memory::query`]; [`MemoryError::Query`] when a query for the nearest ends early.
     pub fn query_while(&self, query: &Query, goes_on: &dyn Fn() -> bool) -> Result<Answer, MemoryError> {
         let asked = query.check()?;
-        let is_wanted = query.long_term || self.core.content().is_partial;
-        let kept = self.core.backing.as_ref().filter(|_| is_wanted).and_then(|b| b.archive());
-        if let Some(kept) = kept {
+        if query.most == Some(0) {
+            return Ok(Answer::default());
+        }
+        let kept = self.core.backing.as_ref().filter(|_| self.looks_in_backing(query));
+        if let Some(kept) = kept.and_then(|backing| backing.archive()) {
             return MergedView { memory: &self.core, kept, part: self.part }.ask(&asked, goes_on);
         }
         let mut answer = asked.answer(goes_on);
         self.core.content().select(&asked, &mut answer);
         answer.finish()
+    }
+
+    /// Whether the answer to a query depends on the backing.
+    fn looks_in_backing(&self, query: &Query) -> bool {
+        query.long_term || self.core.content().is_partial
     }
 
     /// [`Memory::subscribe`] without async.
@@ -449,6 +467,7 @@ fn has_one_thread() -> bool {
     Handle::try_current().is_ok_and(|handle| handle.runtime_flavor() == RuntimeFlavor::CurrentThread)
 }
 
+/// Whoever waits for the disk lets the other tasks of his thread go on elsewhere.
 #[async_trait]
 impl Memory for WorkingMemory {
     async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
@@ -456,10 +475,16 @@ impl Memory for WorkingMemory {
     }
 
     async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
+        if self.core.content().is_partial && !has_one_thread() {
+            return block_in_place(|| self.latest_now(id));
+        }
         self.latest_now(id)
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        if self.looks_in_backing(query) && !has_one_thread() {
+            return block_in_place(|| self.query_now(query));
+        }
         self.query_now(query)
     }
 

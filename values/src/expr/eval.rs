@@ -52,6 +52,8 @@ pub struct EvalError {
     pub absent: bool,
     /// Whether the cause is a number that is NaN.
     pub nan: bool,
+    /// Whether the evaluation ended because it exceeds a limit.
+    pub limit: bool,
 }
 
 /// A range in the source, bytes.
@@ -64,7 +66,12 @@ pub(super) struct Pos {
 impl Pos {
     pub(super) fn error(self, message: impl Into<String>) -> EvalError {
         let (start, end) = (usize::from(self.start), usize::from(self.end));
-        EvalError { message: message.into(), start, end, absent: false, nan: false }
+        EvalError { message: message.into(), start, end, absent: false, nan: false, limit: false }
+    }
+
+    /// An error because a limit is exceeded.
+    pub(super) fn over_limit(self, message: impl Into<String>) -> EvalError {
+        EvalError { limit: true, ..self.error(message) }
     }
 
     fn absent(self, message: impl Into<String>) -> EvalError {
@@ -249,7 +256,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
         };
         self.parts.set(self.parts.get().saturating_add(parts));
         if self.parts.get() > MAX_PARTS {
-            return Err(pos.error(format!("this makes a value of more than {MAX_PARTS} parts")));
+            return Err(pos.over_limit(format!("this makes a value of more than {MAX_PARTS} parts")));
         }
         Ok(value.into_value())
     }
@@ -378,7 +385,7 @@ impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
         for item in items {
             self.items.set(self.items.get() + 1);
             if self.items.get() > MAX_ITEMS {
-                return Err(pos.error(format!("more than {MAX_ITEMS} items were visited")));
+                return Err(pos.over_limit(format!("more than {MAX_ITEMS} items were visited")));
             }
             let inner = BoundVariables { value: item, outer: frame };
             if kind == Macro::Map {

@@ -165,16 +165,16 @@ pub(super) fn arithmetic<'v>(op: Arithmetic, a: Val<'v>, b: Val<'v>, pos: Pos) -
     if op == A::Add {
         if let (Some(a), Some(b)) = (a.text(), b.text()) {
             if a.len() + b.len() > MAX_TEXT {
-                return Err(pos.error(format!("the text has more than {MAX_TEXT} bytes")));
+                return Err(pos.over_limit(format!("the text has more than {MAX_TEXT} bytes")));
             }
             return Ok(Val::own(Value::String([a, b].concat())));
         }
         if let (Some(Value::List(x)), Some(Value::List(y))) = (a.as_value(), b.as_value()) {
             if x.len() + y.len() > MAX_ITEMS as usize {
-                return Err(pos.error(format!("the list has more than {MAX_ITEMS} items")));
+                return Err(pos.over_limit(format!("the list has more than {MAX_ITEMS} items")));
             }
             if x.iter().chain(y).map(Value::parts).sum::<usize>() > MAX_PARTS {
-                return Err(pos.error(format!("the list has more than {MAX_PARTS} parts")));
+                return Err(pos.over_limit(format!("the list has more than {MAX_PARTS} parts")));
             }
             return Ok(Val::own(Value::List(x.iter().chain(y).cloned().collect())));
         }
