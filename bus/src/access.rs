@@ -49,6 +49,11 @@ impl Access {
         self.others().next().is_some()
     }
 
+    /// Whether a peer is admitted to anything. What another one says or answers is dropped.
+    pub fn admits(&self, peer: &str) -> bool {
+        peer == self.own || self.others().any(|other| other == peer)
+    }
+
     /// All peers but the agent itself; some more than once.
     fn others(&self) -> impl Iterator<Item = &String> {
         let lists =
@@ -209,5 +214,8 @@ mod tests {
         assert!(config.to_zenoh().is_ok());
         let bad = Access { own: "a*".into(), ..Access::default() };
         assert!(bad.rules().is_err() && !bad.is_for_others());
+        assert!(
+            ["alice", "bob", "heidi"].iter().all(|peer| access.admits(peer)) && !access.admits("mallory")
+        );
     }
 }

@@ -67,7 +67,7 @@ async fn serve_agent(
     let world = world.map_err(HostError::Findings)?;
     let mut kept = memory_of_agent(&config.name, &world, &config.store, config.policies.clone())?;
     kept.retention = config.retention;
-    kept.guarded = config.access.is_some();
+    kept.access.clone_from(&config.access);
     kept.follow.clone_from(&config.follow);
     let clock = session.clone();
     let memory = AgentMemory::open(kept, Arc::new(move || clock.now_ns()))?;

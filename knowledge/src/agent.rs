@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_bus::Session;
+use armarium_bus::{Access, Session};
 use armarium_memoryx::{
     Backing, Clock, Consolidator, Dropped, Loading, LongTermMemory, MemoryError, MemoryLimits, MemoryServer,
     Pattern, Policies, Policy, Retention, ServerOptions, WorkingMemory,
@@ -52,8 +52,9 @@ pub struct MemoryConfig {
     pub prior: PriorKnowledge,
     /// The inferences that run on its memory.
     pub infer: Vec<Arc<dyn Inference>>,
-    /// Whether only named writers may write, each only into their own provider segments.
-    pub guarded: bool,
+    /// The access rules of its session, if it has any: then only named writers may write, each only into their own provider
+    /// segments, and whom it follows has to be named.
+    pub access: Option<Access>,
 }
 
 impl MemoryConfig {
@@ -71,7 +72,7 @@ impl MemoryConfig {
             fuse_into: None,
             prior: PriorKnowledge::new(),
             infer: Vec::new(),
-            guarded: false,
+            access: None,
         }
     }
 
@@ -169,10 +170,19 @@ impl AgentMemory {
     /// says.
     ///
     /// # Errors
-    /// As [`MemoryServer::start`].
+    /// [`MemoryError::Remote`] when it is to follow an agent that its own access rules keep out; as [`MemoryServer::start`].
     pub async fn share(&self, session: &Session) -> Result<ServedMemory, MemoryError> {
         let (config, memory) = (&self.config, || Arc::clone(&self.memory));
-        let options = ServerOptions { store: self.store().cloned(), guarded: config.guarded };
+        for Followee { agent, .. } in &config.follow {
+            if config.access.as_ref().is_some_and(|access| !access.admits(agent)) {
+                let what = format!(
+                    "the access rules of `{}` do not name it, so that nothing comes from it: name it, as a reader for instance",
+                    config.name
+                );
+                return Err(MemoryError::Remote { agent: agent.clone(), what });
+            }
+        }
+        let options = ServerOptions { store: self.store().cloned(), guarded: config.access.is_some() };
         let server = MemoryServer::start(session, &config.name, memory(), options).await?;
         let infer = |inference: &Arc<dyn Inference>| {
             RunningInference::start(memory(), Arc::clone(inference), Arc::clone(&self.clock))
@@ -181,10 +191,7 @@ impl AgentMemory {
         let mut tasks = JoinSet::new();
         for other in config.follow.clone() {
             let following = self.following(session);
-            tasks.spawn(async move {
-                let _followed = following.follow_when_there(&other).await;
-                std::future::pending::<()>().await;
-            });
+            tasks.spawn(async move { following.keep_following(&other).await });
         }
         if let Some(kept) = &self.kept {
             tasks.spawn(flush_now_and_then(Arc::clone(kept), memory()));

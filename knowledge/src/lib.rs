@@ -18,7 +18,7 @@ pub mod updater;
 pub use agent::{AgentMemory, MemoryConfig, Restored, ServedMemory};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
-pub use share::{FollowedAgent, Followee, WORLD, agent_pose_update};
+pub use share::{FOLLOWING, FollowedAgent, Followee, WORLD, agent_pose_update};
 
 #[path = "../../memoryx/tests/proxy.rs"]
 #[cfg(test)]

@@ -111,7 +111,7 @@ pub struct ChangesMessage {
 pub enum Maintain {
     /// Count what is there.
     Stats,
-    /// Count what each owner of provider segments takes, and has written.
+    /// Count what each owner of provider segments takes of each core segment, and has written.
     Usage,
     /// Read and check everything.
     Verify,

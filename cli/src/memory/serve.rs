@@ -59,7 +59,7 @@ pub(super) async fn serve(
     }
     let access = serve.access.of(&serve.name);
     let mut config = MemoryConfig::new(&serve.name);
-    config.guarded = access.is_some();
+    config.access.clone_from(&access);
     config.infer = serve.infer.iter().map(|what| what.inference()).collect();
     if let Some(folder) = &serve.prior {
         config.prior = PriorKnowledge::load(folder).map_err(|findings| {

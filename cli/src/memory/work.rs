@@ -212,7 +212,7 @@ async fn watch(
     let mut changes = reached.memory().subscribe(&pattern).await?;
     let mut left = watch.count.unwrap_or(usize::MAX);
     for snapshot in changed_last(reached, &pattern, watch.last).await? {
-        if filter.as_ref().is_none_or(|filter| filter.fits(&snapshot)) {
+        if filter.as_ref().map_or(Ok(true), |filter| filter.fits(&snapshot))? {
             shown.row(&snapshot, out)?;
         }
     }
@@ -225,7 +225,7 @@ async fn watch(
         };
         match change {
             Ok(snapshot) => {
-                let fits = filter.as_ref().is_none_or(|filter| filter.fits(&snapshot));
+                let fits = filter.as_ref().map_or(Ok(true), |filter| filter.fits(&snapshot))?;
                 if fits {
                     shown.row(&snapshot, out)?;
                     out.flush()?;

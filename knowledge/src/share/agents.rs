@@ -13,6 +13,7 @@ use armarium_values::{Pose, Value};
 use nalgebra::Isometry3;
 
 use super::frames::AGENTS;
+use super::record::FollowingRecord;
 use super::{FollowSettings, Following, WORLD, own_from_other};
 
 /// Core segments that are followed by default.
@@ -21,8 +22,10 @@ const DEFAULT_SEGMENTS: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
 const POSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait before connecting again to an agent that is absent.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+/// How often the clock of a followed agent is compared with one's own. It may be another one after a restart.
+const CLOCK_INTERVAL: Duration = Duration::from_secs(5);
 /// Clocks that are further apart than this are warned of, s.
-const CLOCKS_APART_S: f64 = 0.1;
+pub(super) const CLOCKS_APART_S: f64 = 0.1;
 
 /// Which agent is followed, and which core segments; by default objects and their relations. Written as `AGENT` or
 /// `AGENT:SEGMENT`, where `*` stands for any characters.
@@ -50,6 +53,12 @@ impl Followee {
     /// The default core segments of an agent.
     pub fn of(agent: &str) -> Self {
         Self { agent: agent.into(), segment: None }
+    }
+
+    /// The core segments, without the agents' poses, which are followed before all others.
+    fn segments(&self) -> Vec<&str> {
+        let segments = self.segment.as_deref().map_or(DEFAULT_SEGMENTS.to_vec(), |segment| vec![segment]);
+        segments.into_iter().filter(|segment| *segment != AGENTS).collect()
     }
 }
 
@@ -88,32 +97,76 @@ impl FollowingAgent {
     /// # Errors
     /// [`MemoryError::Remote`] when no memory answers under that name, or the agent does not publish its pose.
     pub(crate) async fn follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
-        self.try_follow(other, true).await
+        let remote = Arc::new(RemoteMemory::connect(&self.session, &other.agent).await?);
+        self.compare_clocks(&remote, &other.agent).await?;
+        self.follow_remote(remote, other, true, None).await
     }
 
-    /// As [`Self::follow`], for an agent that may not be there yet. If it does not publish its pose, its objects are
-    /// kept in its own frame.
-    pub(crate) async fn follow_when_there(&self, other: &Followee) -> FollowedAgent {
+    /// Follows an agent as soon as it is there, and tells how that goes ([`super::FOLLOWING`]). If it does not publish its pose, its
+    /// objects are kept in its own frame. It never returns.
+    pub(crate) async fn keep_following(&self, other: &Followee) {
+        let segments = std::iter::once(AGENTS).chain(other.segments()).map(str::to_owned).collect();
+        let record = match FollowingRecord::new(Arc::clone(&self.memory), &self.own, other, segments) {
+            Ok(record) => Arc::new(record),
+            Err(error) => return tracing::error!(%error, "`{}` cannot be followed", other.agent),
+        };
+        let mut followed: Option<FollowedAgent> = None;
         loop {
-            match self.try_follow(other, false).await {
-                Ok(followed) => return followed,
-                Err(error) => tracing::info!("{error}; looking for `{}` again", other.agent),
-            }
-            tokio::time::sleep(RETRY_INTERVAL).await;
+            let tried = async {
+                let remote = match &followed {
+                    Some(followed) => Arc::clone(&followed.remote),
+                    None => Arc::new(RemoteMemory::connect(&self.session, &other.agent).await?),
+                };
+                let clock_ahead_s = remote.clock_ahead_s(|| self.memory.now_ns()).await?;
+                if record.is_followed(clock_ahead_s) {
+                    self.warn_of_clock(&other.agent, clock_ahead_s);
+                }
+                if followed.is_none() {
+                    let record = Some(Arc::clone(&record));
+                    followed = Some(self.follow_remote(remote, other, false, record).await?);
+                }
+                Ok(())
+            };
+            let wait = match tried.await {
+                Ok(()) => CLOCK_INTERVAL,
+                Err(error) => {
+                    if record.is_looked_for(&error) {
+                        tracing::warn!(
+                            "{error}; it may not run or not be connected, or its access rules do not name `{}`: looking for it again",
+                            self.own
+                        );
+                    }
+                    RETRY_INTERVAL
+                }
+            };
+            tokio::time::sleep(wait).await;
         }
+    }
+
+    async fn compare_clocks(&self, remote: &RemoteMemory, agent: &str) -> Result<(), MemoryError> {
+        let ahead_s = remote.clock_ahead_s(|| self.memory.now_ns()).await?;
+        if ahead_s.is_some_and(|ahead_s| ahead_s.abs() > CLOCKS_APART_S) {
+            self.warn_of_clock(agent, ahead_s);
+        }
+        Ok(())
+    }
+
+    fn warn_of_clock(&self, agent: &str, ahead_s: Option<f64>) {
+        let (own, ahead_s) = (&self.own, ahead_s.unwrap_or_default());
+        tracing::warn!("the clock of `{agent}` is {ahead_s:+.2} s from that of `{own}`: set both by NTP");
     }
 
     /// Follows the agents' poses, then the rest. If no pose comes, this is an error when it is needed.
-    async fn try_follow(&self, other: &Followee, needs_pose: bool) -> Result<FollowedAgent, MemoryError> {
+    async fn follow_remote(
+        &self,
+        remote: Arc<RemoteMemory>,
+        other: &Followee,
+        needs_pose: bool,
+        record: Option<Arc<FollowingRecord>>,
+    ) -> Result<FollowedAgent, MemoryError> {
         let (own, agent) = (&self.own, other.agent.as_str());
-        let remote = Arc::new(RemoteMemory::connect(&self.session, agent).await?);
-        if let Some(ahead_s) = remote.clock_ahead_s(|| self.memory.now_ns()).await?
-            && ahead_s.abs() > CLOCKS_APART_S
-        {
-            tracing::warn!("the clock of `{agent}` is {ahead_s:+.2} s from that of `{own}`: set both by NTP");
-        }
         let mut followed = FollowedAgent { remote, followings: Vec::new() };
-        self.follow_segment(&mut followed, agent, AGENTS).await?;
+        self.follow_segment(&mut followed, agent, AGENTS, record.clone()).await?;
         if !self.place_is_known(agent).await {
             let missing = format!("its memory has no `{AGENTS}/{agent}/{agent}` with a `pose` in `{WORLD}`");
             if needs_pose {
@@ -124,9 +177,8 @@ impl FollowingAgent {
                 "`{agent}` or `{own}` does not say where it stands, so what comes is in the frame `{agent}/root`: {missing}"
             );
         }
-        let segments = other.segment.as_deref().map_or(DEFAULT_SEGMENTS.to_vec(), |segment| vec![segment]);
-        for segment in segments.into_iter().filter(|segment| *segment != AGENTS) {
-            self.follow_segment(&mut followed, agent, segment).await?;
+        for segment in other.segments() {
+            self.follow_segment(&mut followed, agent, segment, record.clone()).await?;
         }
         Ok(followed)
     }
@@ -136,10 +188,11 @@ impl FollowingAgent {
         followed: &mut FollowedAgent,
         agent: &str,
         segment: &str,
+        record: Option<Arc<FollowingRecord>>,
     ) -> Result<(), MemoryError> {
         let pattern = Pattern::segment(segment);
         let (own, fuse_into) = (self.own.clone(), self.fuse_into.clone());
-        let settings = FollowSettings { own, agent: agent.into(), pattern, fuse_into };
+        let settings = FollowSettings { own, agent: agent.into(), pattern, fuse_into, record };
         let remote: Arc<dyn Memory> = Arc::<RemoteMemory>::clone(&followed.remote);
         followed.followings.push(Following::start(remote, Arc::clone(&self.memory), settings).await?);
         Ok(())

@@ -19,11 +19,14 @@ use crate::updater::{OBJECT_INSTANCES, Updater};
 
 mod agents;
 mod frames;
+mod record;
 
 pub(crate) use agents::FollowingAgent;
 pub use agents::{FollowedAgent, Followee, agent_pose_update};
 pub use frames::WORLD;
 use frames::{AGENTS, own_from_other, transformed};
+pub use record::FOLLOWING;
+use record::FollowingRecord;
 
 /// Changes that are committed together.
 const MAX_BATCH: usize = 256;
@@ -33,7 +36,7 @@ const PAGE_SIZE: usize = 4096;
 const RETRY_INTERVAL: std::time::Duration = std::time::Duration::from_millis(500);
 
 /// Which agent is followed, and how.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(crate) struct FollowSettings {
     /// This agent.
     pub(crate) own: String,
@@ -44,6 +47,8 @@ pub(crate) struct FollowSettings {
     /// If given, objects with a position are also fused into this provider segment of `ObjectInstances`, as
     /// observations.
     pub(crate) fuse_into: Option<String>,
+    /// Where it is told what was missed.
+    pub(crate) record: Option<Arc<FollowingRecord>>,
 }
 
 /// Follows until this is dropped.
@@ -139,6 +144,7 @@ impl FollowTask {
                             "`{agent}` has forgotten {count} versions of `{id}` that were not copied"
                         );
                         *gaps.entry(id).or_insert(0) += count;
+                        self.settings.record.iter().for_each(|record| record.has_missed(count));
                     }
                     Change::New(snapshot) if self.is_wanted(&snapshot) => {
                         let missed = gaps.remove(&snapshot.id).unwrap_or(0);

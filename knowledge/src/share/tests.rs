@@ -1,6 +1,8 @@
-//! Following over real sessions: frames, a disconnection, reported gaps.
+//! Following over real sessions: frames, a disconnection, reported gaps, and what is said of it.
 
-use armarium_bus::{Session, SessionConfig};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use armarium_bus::{Access, Session, SessionConfig};
 use armarium_memoryx::{
     Consolidator, LongTermMemory, MemoryLimits, MemoryServer, Policies, Policy, RemoteMemory, ServerOptions,
 };
@@ -8,6 +10,7 @@ use armarium_values::{Frame, Pose, Vector};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::*;
+use crate::agent::{AgentMemory, MemoryConfig};
 use crate::proxy::{ProxyState, proxy};
 
 fn cup(time: u64, x: f64) -> Commit {
@@ -35,6 +38,7 @@ fn settings(fuse_into: Option<&str>) -> FollowSettings {
         agent: "alice".into(),
         pattern: Pattern::segment(OBJECT_INSTANCES),
         fuse_into: fuse_into.map(Into::into),
+        record: None,
     }
 }
 
@@ -190,4 +194,65 @@ async fn after_a_cut_both_sides_are_equal() {
         .collect();
     assert_eq!(taken, (0..20_020).collect::<Vec<_>>(), "nothing is lost and nothing there twice");
     drop(server);
+}
+
+/// Whom an agent follows, and how that goes, is in its memory: also that the clock of the other one is another one after a restart.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn absence_and_clocks_are_told() {
+    let far = Session::open(&SessionConfig::default()).await.unwrap();
+    let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
+    let clock = near.clone();
+    let config = MemoryConfig { follow: vec![Followee::of("alice")], ..MemoryConfig::new("bob") };
+    let bob = AgentMemory::open(config, Arc::new(move || clock.now_ns())).unwrap();
+    let _shared = bob.share(&near).await.unwrap();
+    let memory = bob.memory();
+    told(memory, |told| {
+        told.attribute("why").and_then(Value::as_str).is_some_and(|why| why.contains("alice"))
+    })
+    .await;
+
+    let behind_ns = Arc::new(AtomicU64::new(0));
+    let (clock, behind) = (far.clone(), Arc::clone(&behind_ns));
+    let now_ns = move || clock.now_ns() - behind.load(Ordering::Relaxed);
+    let alice = Arc::new(WorkingMemory::new(Arc::new(now_ns)));
+    alice.commit_now(vec![stands("alice", 1.0, 0.0)]).unwrap();
+    let serve = || MemoryServer::start(&far, "alice", Arc::clone(&alice), ServerOptions::default());
+    let server = serve().await.unwrap();
+    told(memory, |told| told.attribute("why").is_none() && ahead_s(told).is_some_and(|s| s.abs() < 1.0))
+        .await;
+    drop(server);
+    behind_ns.store(3_000_000_000, Ordering::Relaxed);
+    let _server = serve().await.unwrap();
+    told(memory, |told| ahead_s(told).is_some_and(|s| (s + 3.0).abs() < 1.0)).await;
+}
+
+/// Waits until Bob's memory says this of Alice.
+async fn told(memory: &WorkingMemory, is_wanted: impl Fn(&Snapshot) -> bool) {
+    let id: EntityId = "Following/bob/alice".parse().unwrap();
+    let mut changes = memory.changes(&Pattern::entity(&id));
+    while !memory.latest_now(&id).is_ok_and(|told| is_wanted(&told)) {
+        changes.recv().await.unwrap();
+    }
+}
+
+fn ahead_s(told: &Snapshot) -> Option<f64> {
+    match told.attribute("clock_ahead_s")? {
+        Value::Float(ahead_s) => Some(*ahead_s),
+        _ => None,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whom_ones_own_rules_keep_out_cannot_be_followed() {
+    let session = Session::open(&SessionConfig::default()).await.unwrap();
+    let share = |readers: &[&str]| {
+        let readers = readers.iter().map(|reader| (*reader).to_owned()).collect();
+        let access = Some(Access { own: "bob".into(), readers, ..Access::default() });
+        let config = MemoryConfig { follow: vec![Followee::of("alice")], access, ..MemoryConfig::new("bob") };
+        let (bob, session) = (AgentMemory::open(config, Arc::new(|| 0)).unwrap(), session.clone());
+        async move { bob.share(&session).await.map(drop) }
+    };
+    let refused = share(&["carol"]).await.unwrap_err().to_string();
+    assert!(refused.contains("alice") && refused.contains("rules of `bob`"), "{refused}");
+    assert_eq!(share(&["alice"]).await, Ok(()));
 }

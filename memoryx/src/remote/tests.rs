@@ -13,6 +13,7 @@ use crate::entity::EntityId;
 use crate::follow::{Change, Follower};
 use crate::proxy::{ProxyState, counting_proxy, proxy};
 use crate::server::{MemoryServer, ServerOptions};
+use crate::store::LongTermMemory;
 use crate::wire::ChangesMessage;
 use crate::working::{Clock, MemoryLimits, WorkingMemory};
 
@@ -121,12 +122,9 @@ async fn connecting_costs_what_is_asked_for() {
     let (endpoint, bytes) = counting_proxy(&pair.far.endpoints().await[0]).await;
     let session = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
     let received = || bytes[1].load(Ordering::Relaxed);
-    // What the sessions say to each other before anybody asks for anything.
-    RemoteMemory::connect(&session, "alice").await.unwrap();
-    let before = received();
     let remote = RemoteMemory::connect(&session, "alice").await.unwrap();
     remote.latest(&commit("small", 1).id).await.unwrap();
-    let got = received() - before;
+    let got = received();
     assert!(got < 10_000, "{got} bytes for one entity");
 
     let before = received();
@@ -142,29 +140,51 @@ async fn connecting_costs_what_is_asked_for() {
     assert!(got < 50_000, "{got} bytes of a core segment with ten changes, beside 10 MB of another one");
 }
 
-/// A leader that begins anew without its content, and whose clock is set back, is followed on.
+/// A leader that begins anew, with its content on a file or without any, and whose clock is 3 s back by then, is followed on.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_leader_whose_clock_goes_back_is_followed_on() {
-    let Pair { memory, remote, far, _server: server, .. } = pair().await;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("alice.redb");
+    for is_kept in [false, true] {
+        is_followed_on(is_kept.then_some(&path)).await;
+    }
+}
+
+async fn is_followed_on(file: Option<&std::path::PathBuf>) {
+    let far = Session::open(&SessionConfig::default()).await.unwrap();
+    let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
+    let leader = |now_s: u64| {
+        let memory = WorkingMemory::new(Arc::new(move || now_s * 1_000_000_000));
+        let store = file.map(|file| Arc::new(LongTermMemory::open(file).unwrap()));
+        let Some(store) = store else { return Arc::new(memory) };
+        let memory = memory.with_backing(Arc::<LongTermMemory>::clone(&store));
+        store.load_into(&memory, Pattern::any()).unwrap();
+        Arc::new(memory)
+    };
+    let memory = leader(1005);
+    let server = serve(&far, &memory).await;
+    let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
     memory.commit_now((0..3).map(|i| commit("a", i)).collect()).unwrap();
     let (mut follower, heads) =
         Follower::from_now(Arc::new(remote), Pattern::segment("Things")).await.unwrap();
     assert_eq!((heads.len(), heads[0].version), (1, 3));
     drop((server, memory));
-    let anew = Arc::new(WorkingMemory::new(Arc::new(|| 0)));
+    let anew = leader(1002);
     anew.commit_now(vec![commit("a", 7), commit("b", 8)]).unwrap();
     let _server = serve(&far, &anew).await;
+    let version = if file.is_some() { 4 } else { 1 };
     let mut heard = BTreeMap::new();
     while heard.len() < 2 {
         let snapshot = new(&mut follower).await;
         let value = snapshot.attribute("value").cloned();
         heard.insert(snapshot.id.entity().to_owned(), (snapshot.version, value));
     }
-    let expected = [("a", 7), ("b", 8)].map(|(name, v)| (name.to_owned(), (1, Some(Value::Int(v)))));
+    let expected =
+        [("a", version, 7), ("b", 1, 8)].map(|(name, v, n)| (name.to_owned(), (v, Some(Value::Int(n)))));
     assert_eq!(heard, BTreeMap::from(expected));
     anew.commit_now(vec![commit("a", 9)]).unwrap();
     let snapshot = new(&mut follower).await;
-    assert_eq!((snapshot.id.entity(), snapshot.version), ("a", 2));
+    assert_eq!((snapshot.id.entity(), snapshot.version), ("a", version + 1));
 }
 
 /// Waits for this version of the only entity. Returns all versions received, in order.

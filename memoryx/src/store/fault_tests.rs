@@ -440,7 +440,8 @@ fn padded(id: &str, version: u64, arrived_ns: u64) -> Arc<Snapshot> {
 /// What the file may have in the next test.
 const MEGABYTES: u64 = 16;
 
-/// Names that come and go for 25 minutes, 10 000 a minute: the file stays within its limit. What cannot be kept within it is said.
+/// Names that come and go for 15 minutes, 10 000 a minute: the file stays within its limit. What cannot be kept within it is said. (The
+/// benchmark has a day of them.)
 #[test]
 fn names_that_come_and_go_leave_nothing() {
     let (_folder, _, store) = store();

@@ -37,7 +37,7 @@ pub(super) struct Content {
     /// What the whole memory takes.
     pub(super) all: Usage,
     /// What each owner takes.
-    usage: OrdMap<Arc<str>, Usage>,
+    usage: Usages,
     /// When the last of its snapshots arrived, ns.
     pub(super) last_arrival: u64,
     /// The removed entities by arrival time, ns.
@@ -60,6 +60,8 @@ struct SegmentContent {
     arrivals: Blocks<(u64, EntityId)>,
     /// The arrival time of the newest change that was dropped from `arrivals`, ns.
     forgotten_until: u64,
+    /// What each owner takes of it.
+    usage: Usages,
 }
 
 /// The histories of entities, found by address (a set, which imbl does not let read its items). Hashed without a random key; nobody uses
@@ -80,6 +82,27 @@ impl Usage {
             entities: (self.entities + more.entities).saturating_sub(less.entities),
             bytes: (self.bytes + more.bytes).saturating_sub(less.bytes),
             updates: (self.updates + more.updates).saturating_sub(less.updates),
+        }
+    }
+}
+
+/// What each owner takes.
+#[derive(Clone, Default)]
+struct Usages(OrdMap<Arc<str>, Usage>);
+
+impl Usages {
+    fn of(&self, owner: &str) -> Usage {
+        self.0.get(owner).copied().unwrap_or_default()
+    }
+
+    fn count(&mut self, owner: &str, more: Usage, less: Usage) {
+        let usage = self.of(owner).changed(more, less);
+        if usage.entities == 0 {
+            self.0.remove(owner);
+        } else if let Some(known) = self.0.get_mut(owner) {
+            *known = usage;
+        } else {
+            self.0.insert(owner.into(), usage);
         }
     }
 }
@@ -118,12 +141,14 @@ impl SegmentContent {
 impl Content {
     /// What an owner's provider segments take.
     pub(super) fn usage(&self, owner: &str) -> Usage {
-        self.usage.get(owner).copied().unwrap_or_default()
+        self.usage.of(owner)
     }
 
-    /// What each owner takes.
-    pub(super) fn owners(&self) -> impl Iterator<Item = (&str, Usage)> {
-        self.usage.iter().map(|(owner, usage)| (&**owner, *usage))
+    /// Each owner and core segment, and what the owner takes of it.
+    pub(super) fn owners(&self) -> impl Iterator<Item = (&str, &str, Usage)> {
+        self.segments.iter().flat_map(|(name, segment)| {
+            segment.usage.0.iter().map(|(owner, usage)| (&**owner, &**name, *usage))
+        })
     }
 
     /// The entities that are to be removed by now, with their versions; some of them if there are very many.
@@ -229,13 +254,9 @@ impl Content {
 
     fn count(&mut self, id: &EntityId, more: Usage, less: Usage) {
         self.all = self.all.changed(more, less);
-        let usage = self.usage(owner(id)).changed(more, less);
-        if usage.entities == 0 {
-            self.usage.remove(owner(id));
-        } else if let Some(known) = self.usage.get_mut(owner(id)) {
-            *known = usage;
-        } else {
-            self.usage.insert(owner(id).into(), usage);
+        self.usage.count(owner(id), more, less);
+        if let Some(segment) = self.segments.get_mut(id.segment()).map(Arc::make_mut) {
+            segment.usage.count(owner(id), more, less);
         }
     }
 

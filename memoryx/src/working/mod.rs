@@ -257,12 +257,12 @@ impl WorkingMemory {
         self.core.content().all.bytes
     }
 
-    /// What each owner of provider segments takes: `OWNER/entities`, `OWNER/bytes`, and `OWNER/updates`, which is how many
-    /// snapshots were inserted so far.
+    /// What each owner of provider segments takes of each core segment: `OWNER/SEGMENT/entities`, `OWNER/SEGMENT/bytes`, and
+    /// `OWNER/SEGMENT/updates`, which is how many snapshots were inserted so far.
     pub fn usage(&self) -> BTreeMap<String, u64> {
-        let of_owner = |(owner, usage): (&str, content::Usage)| {
+        let of_owner = |(owner, segment, usage): (&str, &str, content::Usage)| {
             [("entities", usage.entities as u64), ("bytes", usage.bytes), ("updates", usage.updates)]
-                .map(|(what, count)| (format!("{owner}/{what}"), count))
+                .map(|(what, count)| (format!("{owner}/{segment}/{what}"), count))
         };
         self.core.content().owners().flat_map(of_owner).collect()
     }
