@@ -65,7 +65,7 @@ fn by_policy(name: &str, policy: Policy) {
         let both = vec![cup("standing", [0.4, 0.6, 0.85], time_ns), cup("moving", round(time_ns), time_ns)];
         memory.commit_now(both).expect("it fits");
     }
-    start.say(&format!("transfer, {name}: durable updates of two"), frames * 2, "");
+    start.say(&format!("transfer, {name}: durable updates of two"), frames * 2);
     let stats = store.stats().expect("it can be read");
     say(&format!("compression, {name}: kept"), stats.snapshots as f64 * 100.0 / (frames * 2) as f64, "%", "");
     say(

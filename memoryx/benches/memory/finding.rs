@@ -5,7 +5,7 @@ use std::sync::Arc;
 use armarium_memoryx::{Commit, Pattern, Query, SpatialRegion, WorkingMemory};
 use armarium_values::{Frame, Value, Vector};
 
-use super::{Meter, id, median, say};
+use super::{Meter, at_most, id, median, say};
 
 const ENTITIES: u64 = 1_000_000;
 const CLASSES: u64 = 10_000;
@@ -28,16 +28,18 @@ pub(super) fn finding() {
         memory.commit_now((group * 1000..(group + 1) * 1000).map(update).collect()).expect("it fits");
     }
     let frame = Frame::root;
+    let inside = SpatialRegion::Box { frame: frame(), min: [9.0, 9.0, 0.0], max: [11.0, 10.0, 2.0] };
     let within = SpatialRegion::Within { frame: frame(), of: [50.0, 50.0, 1.0], radius: 1.0 };
     let nearest = SpatialRegion::Nearest { frame: frame(), to: [20.0, 70.0, 1.0], count: 10 };
     let all = || Query::latest(Pattern::any());
     let asked = [
-        ("of one class in 10 000", all().filter("class == 'class77'"), "ms"),
-        ("within 1 m", Query { region: Some(within), ..all() }, "ms"),
-        ("the 10 nearest", Query { region: Some(nearest), ..all() }, "ms"),
-        ("of one class, without the index", all().filter("!(class != 'class77')"), "ms"),
+        ("of one class in 10 000", all().filter("class == 'class77'")),
+        ("in a box of 2 m by 1 m by 2 m", Query { region: Some(inside), ..all() }),
+        ("within 1 m", Query { region: Some(within), ..all() }),
+        ("the 10 nearest", Query { region: Some(nearest), ..all() }),
+        ("of one class, without the index", all().filter("!(class != 'class77')")),
     ];
-    for (what, query, unit) in asked {
+    for (what, query) in asked {
         let times = if what.contains("without") { 1 } else { TIMES };
         let mut found = 0;
         let one = |_| {
@@ -46,6 +48,10 @@ pub(super) fn finding() {
             start.elapsed()
         };
         let took = median((0..times).map(one).collect());
-        say(&format!("{what}, of {ENTITIES} ({found} found)"), took * 1e-3, unit, "asked: 5");
+        let words = format!("{what}, of {ENTITIES} ({found} found)");
+        match what.contains("without") {
+            true => say(&words, took * 1e-3, "ms", ""),
+            false => at_most(&words, took * 1e-3, "ms", 5.0),
+        }
     }
 }

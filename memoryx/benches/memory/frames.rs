@@ -12,7 +12,7 @@ use armarium_memoryx::{
 use armarium_values::Value;
 use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 
-use super::{Meter, median, on_file, resident_mb, say};
+use super::{Meter, at_most, median, on_file, resident_mb, say};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -101,9 +101,9 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
         "/s",
         "asked: 30",
     );
-    say("  lost, and refused", (lost + refused) as f64, "", "asked: 0");
+    at_most("  lost, and refused", (lost + refused) as f64, "", 0.0);
     say("  taken a frame late or more", late as f64, "", "");
-    say("  commit, median", median(waits) / 1e3, "ms", "asked: under 33");
+    at_most("  commit, median", median(waits) / 1e3, "ms", 33.0);
     say("  commit, longest", longest, "ms", "");
     say("  processor time a frame, its making included", each_ms, "ms", "");
     say("  kept a frame", stats.bytes as f64 / count as f64 / 1e3, "kB", "");
@@ -116,7 +116,7 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
         let start = Meter::start();
         drop(LongTermMemory::open(&killed).expect("a file"));
         let ms = start.elapsed().as_secs_f64() * 1e3;
-        say(&format!("  opened after a kill, a file of {gb:.2} GB"), ms, "ms", "asked: under 1000");
+        at_most(&format!("  opened after a kill, a file of {gb:.2} GB"), ms, "ms", 1000.0);
         let _ = std::fs::remove_file(killed);
     }
     drop((memory, store));

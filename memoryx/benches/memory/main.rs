@@ -1,7 +1,7 @@
 //! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
 //! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `finding`, `beside`,
-//! `store`, `durable`, `starts`, `shared`, `scale`, `link`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
-//! disk) only runs when named.
+//! `store`, `durable`, `starts`, `shared`, `scale`, `link`; and those that only run when they are named, `minutes` (ten minutes of images in
+//! real time, 17 GB of disk), `ages` and `names` (forgetting, minutes). The status is 1 when a figure misses what is asked.
 //!
 //! Rates depend on the other load of the machine; so the processor time of each item is printed too.
 
@@ -19,6 +19,7 @@ use armarium_values::Value;
 mod beside;
 mod durable;
 mod finding;
+mod forgets;
 mod frames;
 mod link;
 mod meter;
@@ -30,7 +31,7 @@ mod starts;
 mod store;
 mod working;
 
-use meter::{Meter, resident_mb, say};
+use meter::{Meter, at_most, resident_mb, say};
 
 fn id(n: u64) -> EntityId {
     EntityId::new("Things", "bench", &format!("e{n}")).expect("a name")
@@ -81,6 +82,12 @@ fn main() {
     if wanted.iter().any(|word| word == "minutes") {
         frames::ten_minutes(&wanted);
     }
+    if wanted.iter().any(|word| word == "ages") {
+        forgets::by_age();
+    }
+    if wanted.iter().any(|word| word == "names") {
+        forgets::names();
+    }
     if is_wanted("shared") {
         runtime.block_on(shared::shared());
     }
@@ -89,5 +96,10 @@ fn main() {
     }
     if is_wanted("link") {
         runtime.block_on(link::link());
+    }
+    let missed = meter::missed();
+    if missed > 0 {
+        println!("{missed} figures miss what is asked");
+        std::process::exit(1);
     }
 }

@@ -1,9 +1,27 @@
-//! Prints figures of the wall clock and of the processors.
+//! Prints figures of the wall clock and of the processors, and counts those that miss what is asked.
 
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-pub(crate) fn say(what: &str, figure: f64, unit: &str, asked: &str) {
-    println!("{what:<62} {figure:>12.2} {unit:<10} {asked}");
+static MISSED: AtomicU32 = AtomicU32::new(0);
+
+/// How many figures have missed what is asked.
+pub(crate) fn missed() -> u32 {
+    MISSED.load(Ordering::Relaxed)
+}
+
+fn judged(asked: &str, holds: bool) -> String {
+    MISSED.fetch_add(u32::from(!holds), Ordering::Relaxed);
+    format!("asked: {asked}{}", if holds { "" } else { ", MISSED" })
+}
+
+pub(crate) fn say(what: &str, figure: f64, unit: &str, note: &str) {
+    println!("{what:<62} {figure:>12.2} {unit:<10} {note}");
+}
+
+/// A figure that is at most so large.
+pub(crate) fn at_most(what: &str, figure: f64, unit: &str, most: f64) {
+    say(what, figure, unit, &judged(&format!("at most {most}"), figure <= most));
 }
 
 /// A field in kB of this process's status, in MB.
@@ -43,10 +61,21 @@ impl Meter {
     }
 
     /// Prints the rate and the processor time of each item. Returns the rate, 1/s.
-    pub(crate) fn say(&self, what: &str, count: u64, asked: &str) -> f64 {
+    pub(crate) fn say(&self, what: &str, count: u64) -> f64 {
+        self.rate(what, count, None)
+    }
+
+    /// A rate that is at least so large, 1/s.
+    pub(crate) fn at_least(&self, what: &str, count: u64, least: f64) -> f64 {
+        self.rate(what, count, Some(least))
+    }
+
+    fn rate(&self, what: &str, count: u64, least: Option<f64>) -> f64 {
         let rate = count as f64 / self.elapsed().as_secs_f64();
         let each_us = self.processor_us() / count as f64;
-        println!("{what:<62} {rate:>12.0} {:<10} {each_us:>7.2} us of processors each; {asked}", "/s");
+        let asked = least.map(|least| judged(&format!("at least {least}"), rate >= least));
+        let asked = asked.map_or_else(String::new, |asked| format!("; {asked}"));
+        println!("{what:<62} {rate:>12.0} {:<10} {each_us:>7.2} us of processors each{asked}", "/s");
         rate
     }
 }

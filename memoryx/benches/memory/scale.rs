@@ -45,7 +45,7 @@ async fn through_one_router(count: usize) {
             let start = Meter::start();
             told(&agents[0], &remotes, together, updates).await;
             let each_us = start.processor_us() / updates as f64;
-            start.say(&what, updates, "");
+            start.say(&what, updates);
             costs.push((followers as f64, each_us));
         }
         say(&format!("  each follower adds, {together} at once, of {count} agents"), slope(&costs), "us", "");
@@ -75,14 +75,14 @@ async fn started(router: &Session, count: usize) -> Vec<Agent> {
         sessions.push(Session::open(&config).await.expect("a session"));
     }
     let opened = resident_mb();
-    start.say(&format!("sessions opened, of {count}"), count as u64, "");
+    start.say(&format!("sessions opened, of {count}"), count as u64);
     say(&format!("  a session, of {count}"), (opened - before) * 1024.0 / count as f64, "kB", "");
     let start = Meter::start();
     let mut agents = Vec::new();
     for (n, session) in sessions.into_iter().enumerate() {
         agents.push(agent(session, format!("agent{n}")).await);
     }
-    start.say(&format!("memories of {ENTITIES} entities shared, of {count}"), count as u64, "");
+    start.say(&format!("memories of {ENTITIES} entities shared, of {count}"), count as u64);
     say(&format!("  a memory, of {count}"), (resident_mb() - opened) * 1024.0 / count as f64, "kB", "");
     agents
 }
@@ -148,7 +148,7 @@ async fn ring(agents: &[Agent]) {
         let next = &agents[(n + 1) % count].name;
         remotes.push(RemoteMemory::connect(&agent.session, next).await.expect("it answers"));
     }
-    start.say(&format!("followers connected, of {count}"), count as u64, "");
+    start.say(&format!("followers connected, of {count}"), count as u64);
     let mut listening = Vec::new();
     for remote in &remotes {
         listening.push(follow(remote).await);
@@ -165,7 +165,7 @@ async fn ring(agents: &[Agent]) {
         }
     }
     let what = format!("{together} at once by each of {count} agents, 1 follower each");
-    start.say(&what, rounds * together * count as u64, "");
+    start.say(&what, rounds * together * count as u64);
 }
 
 /// The slope of the least-squares line through the points.

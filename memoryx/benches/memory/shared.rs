@@ -11,7 +11,7 @@ use armarium_memoryx::{
 };
 use tokio::task::JoinSet;
 
-use super::{Meter, commit, id, median, say};
+use super::{Meter, at_most, commit, id, median, say};
 
 /// Queries and messages whose latency is measured.
 const TIMES: u64 = 2000;
@@ -49,15 +49,15 @@ async fn rates(memory: &Arc<WorkingMemory>, remote: &RemoteMemory) {
     });
     hear(&mut changes, UPDATES).await;
     writer.await.expect("it ends");
-    start.say("updates of 100 B heard by a remote observer", UPDATES, "asked: 200 000");
+    start.at_least("updates of 100 B heard by a remote observer", UPDATES, 200_000.0);
     let start = Meter::start();
     for g in 0..200_u64 {
         let group = (0..1000).map(|i| commit((g * 1000 + i) % 20_000, 100)).collect();
         remote.commit(group).await.expect("it fits");
     }
-    start.say("updates of 100 B committed from afar, 1000 at once", 200_000, "asked: 200 000");
+    start.at_least("updates of 100 B committed from afar, 1000 at once", 200_000, 200_000.0);
     hear(&mut changes, 200_000).await;
-    start.say("  and heard back", 200_000, "");
+    start.say("  and heard back", 200_000);
 }
 
 /// Follows a memory from now on.
@@ -111,10 +111,10 @@ async fn latencies(memory: &WorkingMemory, remote: &RemoteMemory, bare: &mut Bar
     let [put, told, get, asked, taken] = times.map(median);
     say("bare put to subscriber, 100 B, median", put, "us", "");
     say("commit to a remote observer, median", told, "us", "");
-    say("  times the bare put", told / put, "", "asked: at most 2.5");
+    at_most("  times the bare put", told / put, "", 2.5);
     say("bare get, 100 B, median", get, "us", "");
     say("remote query of one entity, median", asked, "us", "");
-    say("  times the bare get", asked / get, "", "asked: at most 2");
+    at_most("  times the bare get", asked / get, "", 2.0);
     say("remote commit with its answer, median", taken, "us", "");
     say("  times the bare get", taken / get, "", "");
 }
@@ -135,12 +135,12 @@ fn round_trip<T: Payload>(what: &str, thousand: &T) {
     for _ in 0..50 {
         bytes = encode(thousand).expect("it can be written");
     }
-    start.say(&format!("{what} of 100 B each: written"), 50_000, "");
+    start.say(&format!("{what} of 100 B each: written"), 50_000);
     let start = Meter::start();
     for _ in 0..50 {
         std::hint::black_box(decode::<T>(&bytes).expect("it can be read"));
     }
-    start.say(&format!("{what} of 100 B each: read"), 50_000, "");
+    start.say(&format!("{what} of 100 B each: read"), 50_000);
 }
 
 /// The bare session: the cost of a Zenoh put and get without memory.
@@ -215,6 +215,6 @@ impl Bare {
             count += 1;
         }
         writer.await.expect("it ends");
-        start.say("bare puts of 100 B heard, one message each", 200_000, "");
+        start.say("bare puts of 100 B heard, one message each", 200_000);
     }
 }

@@ -7,7 +7,7 @@ use armarium_memoryx::{Instance, LongTermMemory, Pattern, Query, Snapshot};
 use armarium_values::Value;
 use redb::{Database, TableDefinition};
 
-use super::{Meter, id, median, say};
+use super::{Meter, at_most, id, median, say};
 
 pub(super) const BARE: TableDefinition<'_, (u64, u64), &[u8]> = TableDefinition::new("bare");
 /// Snapshots that one part stores.
@@ -73,7 +73,7 @@ fn one_by_one(folder: &Path) {
     let (raw, ours) = (median(raw), median(ours));
     say("bare redb commit, 1 kB, durable, median", raw, "us", "");
     say("durable commit of one snapshot, 1 kB, median", ours, "us", "");
-    say("  times the bare one", ours / raw, "", "asked: at most 2");
+    at_most("  times the bare one", ours / raw, "", 2.0);
 }
 
 fn in_groups(folder: &Path, group: u64, entities: u64) {
@@ -85,7 +85,7 @@ fn in_groups(folder: &Path, group: u64, entities: u64) {
     for group in groups() {
         put_bare(&bare, group.map(row));
     }
-    let raw = start.say(&format!("bare redb, {what}"), KEPT, "");
+    let raw = start.say(&format!("bare redb, {what}"), KEPT);
     drop(bare);
     let store = LongTermMemory::open(&folder.join(format!("{group}-{entities}.redb"))).expect("a file");
     let groups: Vec<Vec<_>> = groups()
@@ -95,12 +95,12 @@ fn in_groups(folder: &Path, group: u64, entities: u64) {
     for group in &groups {
         store.persist(group).expect("a disk");
     }
-    let ours = start.say(&format!("snapshots of {what}"), KEPT, "asked: 100 000");
+    let ours = start.at_least(&format!("snapshots of {what}"), KEPT, 100_000.0);
     say("  times the bare rate", ours / raw, "", "");
     scan(&store, &format!("scan, {what}"));
     let start = Meter::start();
     let found = store.query(&Query::history(Pattern::entity(&id(1)))).expect("it can be read");
-    start.say(&format!("history of one entity, {what}"), found.len() as u64, "");
+    start.say(&format!("history of one entity, {what}"), found.len() as u64);
 }
 
 fn scan(store: &LongTermMemory, what: &str) {
@@ -111,7 +111,7 @@ fn scan(store: &LongTermMemory, what: &str) {
         true
     });
     counted.expect("it can be read");
-    start.say(what, count, "asked: 1 000 000");
+    start.at_least(what, count, 1_000_000.0);
 }
 
 fn small(folder: &Path) {

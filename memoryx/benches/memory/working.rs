@@ -6,7 +6,7 @@ use std::time::Duration;
 use armarium_memoryx::{EntityId, MemoryLimits, WorkingMemory};
 use indexmap::IndexMap;
 
-use super::{Meter, commit, id, median, resident_mb, say};
+use super::{Meter, at_most, commit, id, median, resident_mb, say};
 
 /// How many entities are looked up in one go, and how often, in turn with the bare map.
 const LOOKS: u64 = 10_000;
@@ -21,7 +21,7 @@ pub(super) fn in_process() {
         memory.commit_now(update).expect("it fits");
         times.push(start.elapsed());
     }
-    say("commit in process, 1 kB, median", median(times), "us", "asked: 2");
+    at_most("commit in process, 1 kB, median", median(times), "us", 2.0);
 }
 
 /// Many updates in each commit, among many entities whose histories are long.
@@ -38,7 +38,7 @@ pub(super) fn together() {
     write(20_000 * 64);
     let start = Meter::start();
     write(400_000);
-    start.say("updates of 100 B in process, 100 at once among 20 000", 400_000, "");
+    start.say("updates of 100 B in process, 100 at once among 20 000", 400_000);
 }
 
 fn looked_up<T>(ids: &[EntityId], mut look: impl FnMut(&EntityId) -> T) -> Duration {
@@ -60,7 +60,7 @@ pub(super) fn a_million() {
             memory.commit_now(vec![commit(n, 200)]).expect("it fits");
         }
         if count == 1_000_000 {
-            say("1 000 000 entities of 200 B", resident_mb() - before, "MB", "asked: 1000");
+            at_most("1 000 000 entities of 200 B", resident_mb() - before, "MB", 1000.0);
         }
         bare.extend((held..count).map(|n| (id(n).as_str().to_owned(), Arc::new(n))));
         held = count;
@@ -71,7 +71,7 @@ pub(super) fn a_million() {
             raw.push(looked_up(&ids, |id| bare.get(id.as_str()).cloned()));
         }
         let (ours, bare) = (median(ours), median(raw));
-        say(&format!("latest by id among {count}, median of {ROUNDS}"), ours, "us", "asked: at most 2");
+        at_most(&format!("latest by id among {count}, median of {ROUNDS}"), ours, "us", 2.0);
         say(&format!("  a bare map's lookup among {count}"), bare, "us", "");
     }
 }
