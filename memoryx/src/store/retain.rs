@@ -5,8 +5,8 @@
 //!
 //! The work is in proportion to what is forgotten: chunks are found by their age, what stays of one is moved once, and
 //! chunks of which something was forgotten are written again only when less than half of them is left. So an idle store writes
-//! nothing. It is done in small parts, each a transaction, so that no commit waits long. A part takes one entity after the other,
-//! whose rows in the index lie together.
+//! nothing. It is done in small parts, each a transaction, so that no commit waits long; several go to disk together, because they change
+//! the same pages. A part takes one entity after the other, whose rows in the index lie together.
 
 use std::collections::BTreeSet;
 
@@ -21,6 +21,8 @@ use super::{LongTermMemory, RecordPlace, StoreError, record};
 /// Records that one part forgets or moves. A chunk counts as at least so many.
 const MAX_RECORDS: usize = 256;
 const MIN_OF_CHUNK: usize = 16;
+/// Parts that go to disk together.
+const TOGETHER: usize = 8;
 
 /// What the rows of a record take in the file beside it, about: in the index, and of its entity.
 const ROW_BYTES: u64 = 100;
@@ -66,10 +68,15 @@ impl LongTermMemory {
             oldest.is_some_and(|arrived_ns| arrived_ns < before || is_over(start.bytes, start.snapshots));
         if is_due {
             let pinned = self.pinned()?;
-            let mut left = true;
+            let (mut left, mut parts) = (true, 0);
             while left {
-                left = self.write(|writer, _| Ok((writer.forget_some(&is_over, before, &pinned)?, true)))?;
+                let part = |writer: &mut Writer<'_>, _: &_| {
+                    Ok((writer.forget_some(&is_over, before, &pinned)?, true))
+                };
+                parts += 1;
+                left = if parts % TOGETHER == 0 { self.write(part)? } else { self.write_later(part)? };
             }
+            self.write(|_, _| Ok(((), true)))?;
         }
         let end = self.stats()?;
         Ok(Dropped {

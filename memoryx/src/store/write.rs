@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use parking_lot::MutexGuard;
-use redb::{ReadableTable, Table, WriteTransaction};
+use redb::{Durability, ReadableTable, Table, WriteTransaction};
 
 use super::error::Fault;
 use super::facts::{EntityCache, EntityFacts, MAX_CACHED};
@@ -352,7 +352,7 @@ impl LongTermMemory {
                 self.journal(snapshots, given);
                 Ok(snapshots.len())
             }
-            Ok(false) => self.write_in(&mut memo, |writer, memo| {
+            Ok(false) => self.write_in(&mut memo, Durability::Immediate, |writer, memo| {
                 let new = writer.add_all(snapshots, given, memo, self.shared)?;
                 self.journal(snapshots, given);
                 Ok((new, new > 0 || !given.is_empty()))
@@ -386,7 +386,7 @@ impl LongTermMemory {
 
     /// Takes what is in the log into the tables.
     pub(super) fn take_log(&self, memo: &mut EntityCache) -> Result<(), StoreError> {
-        self.write_in(memo, |_, _| Ok(((), false)))
+        self.write_in(memo, Durability::Immediate, |_, _| Ok(((), false)))
     }
 
     /// Changes the file in one transaction, unless `act` returns that nothing has changed.
@@ -394,8 +394,24 @@ impl LongTermMemory {
         &self,
         act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
     ) -> Result<T, StoreError> {
+        self.write_as(Durability::Immediate, act)
+    }
+
+    /// As [`Self::write`], but it is on disk only together with the next transaction that is, whoever makes that.
+    pub(super) fn write_later<T>(
+        &self,
+        act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
+    ) -> Result<T, StoreError> {
+        self.write_as(Durability::None, act)
+    }
+
+    fn write_as<T>(
+        &self,
+        durability: Durability,
+        act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
+    ) -> Result<T, StoreError> {
         let mut memo = self.memo.lock();
-        let written = self.write_in(&mut memo, act);
+        let written = self.write_in(&mut memo, durability, act);
         // Whoever changes much, part by part, lets a commit that waits come in between.
         MutexGuard::unlock_fair(memo);
         written
@@ -405,6 +421,7 @@ impl LongTermMemory {
     fn write_in<T>(
         &self,
         memo: &mut EntityCache,
+        durability: Durability,
         act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
     ) -> Result<T, StoreError> {
         if self.shared {
@@ -415,8 +432,13 @@ impl LongTermMemory {
             let mut log = file.log.lock();
             let log = log.as_mut().filter(|log| !log.stored.is_empty());
             let mut transaction = file.database.begin_write()?;
-            // So the file is opened at once after a kill.
-            transaction.set_quick_repair(true);
+            // What is in the log is written over as soon as the tables have it, and so they have it on disk.
+            if log.is_none() && matches!(durability, Durability::None) {
+                transaction.set_durability(Durability::None)?;
+            } else {
+                // So the file is opened at once after a kill.
+                transaction.set_quick_repair(true);
+            }
             let mut writer = Writer::new(&transaction)?;
             if let Some(log) = &log {
                 writer.add_all(&log.stored.snapshots, &log.stored.given, memo, self.shared)?;
