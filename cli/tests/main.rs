@@ -10,6 +10,7 @@ mod losses;
 mod lsp;
 mod machines;
 mod manual;
+mod memory_commands;
 mod memory_observe;
 mod observe;
 #[path = "../../tests/src/outside.rs"]

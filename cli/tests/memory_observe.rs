@@ -61,7 +61,7 @@ fn what_was_observed_is_exported_for_foxglove() {
     let lines = format!("{}{}", cup(0.1), cup(0.12));
     assert!(armarium(folder.path(), &["observe", "--provider", "door"], &lines).status.success());
     let exported = armarium(folder.path(), &["export", "-o", "cups.mcap"], "");
-    assert_eq!(String::from_utf8_lossy(&exported.stdout), "2 snapshots\n", "{exported:?}");
+    assert_eq!(String::from_utf8_lossy(&exported.stdout), "{\"snapshots\":2}\n", "{exported:?}");
     let recording = std::fs::read(folder.path().join("cups.mcap")).expect("it is there");
     let has = |words: &str| recording.windows(words.len()).any(|part| part == words.as_bytes());
     assert!(has("foxglove.PoseInFrame") && has("/memory/ObjectInstances/door/position/cup"));
@@ -106,7 +106,7 @@ fn images_are_exported_for_foxglove() {
     let lines = [image(1, "raw", &pixels), image(2, "jpeg", &file)].concat();
     assert!(armarium(folder.path(), &["import", "-"], &lines).status.success());
     let exported = armarium(folder.path(), &["export", "-o", "door.mcap"], "");
-    assert_eq!(String::from_utf8_lossy(&exported.stdout), "2 snapshots\n", "{exported:?}");
+    assert_eq!(String::from_utf8_lossy(&exported.stdout), "{\"snapshots\":2}\n", "{exported:?}");
     let recording = std::fs::read(folder.path().join("door.mcap")).expect("it is there");
     let has = |words: &str| recording.windows(words.len()).any(|part| part == words.as_bytes());
     assert!(has("foxglove.CompressedImage") && has("/memory/Images/door/picture/left"));

@@ -34,7 +34,7 @@ states:
 ";
 
 /// A process and what it says, line by line.
-struct Running {
+pub(super) struct Running {
     child: Child,
     lines: Receiver<String>,
     said: Vec<String>,
@@ -51,7 +51,7 @@ fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) {
 }
 
 impl Running {
-    fn start(folder: &Path, args: &[&str]) -> Self {
+    pub(super) fn start(folder: &Path, args: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_armarium"))
             .args(args)
             .current_dir(folder)
@@ -68,7 +68,7 @@ impl Running {
     }
 
     /// Waits for a line with this text; fails with all that was said when the process ends before.
-    fn wait_for(&mut self, text: &str) -> String {
+    pub(super) fn wait_for(&mut self, text: &str) -> String {
         loop {
             let Ok(line) = self.lines.recv() else {
                 panic!("`{text}` was not said:\n{}", self.said.join("\n"));
@@ -81,13 +81,13 @@ impl Running {
     }
 
     /// Waits for the end; gives the exit status and all that was said.
-    fn end(mut self) -> (Option<i32>, String) {
+    pub(super) fn end(mut self) -> (Option<i32>, String) {
         let status = self.child.wait().expect("the process was started").code();
         self.said.extend(self.lines.iter());
         (status, std::mem::take(&mut self.said).join("\n"))
     }
 
-    fn signal(&self, name: &str) {
+    pub(super) fn signal(&self, name: &str) {
         let kill = format!("kill -{name} {}", self.child.id());
         assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
     }

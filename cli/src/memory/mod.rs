@@ -51,16 +51,16 @@ pub(crate) struct MemoryArgs {
 impl MemoryArgs {
     /// Checks that no option needs a running agent, when a file is named.
     fn only_a_file(&self) -> Result<(), CommandFailure> {
-        let wrong = if matches!(self.command, MemoryCommand::Watch(_)) {
-            "watch: a file that no agent has open does not change"
+        let wrong = if matches!(&self.command, MemoryCommand::Watch(watch) if watch.last == 0) {
+            "a file that no agent has open does not change: --last N shows what changed last"
         } else if self.agent != LOCAL || self.writer.is_some() {
-            "--agent and --as name an agent, --store a file that no agent has open"
+            "--agent and --as name an agent, --store a file that no agent has open: leave one of them out"
         } else if !self.connection.connect.is_empty() {
-            "--connect reaches an agent, --store opens a file that none has open"
+            "--connect reaches an agent, --store opens a file that none has open: leave one of them out"
         } else {
             return Ok(());
         };
-        Err(CommandFailure::Argument(format!("{wrong}: leave one of them out")))
+        Err(CommandFailure::Argument(wrong.into()))
     }
 }
 
@@ -74,7 +74,7 @@ enum MemoryCommand {
     Put(PutArgs),
     /// Join what another program observes with what is known: a line of JSON on standard input for each observation.
     Observe(observe::ObserveArgs),
-    /// Show changes as they come; with `--last`, first those that came last.
+    /// Show changes as they come; with `--last`, first those that came last (of a file: only these).
     #[command(alias = "tail")]
     Watch(WatchArgs),
     /// Show who writes how fast, and what it takes: each owner of provider segments, every second until Ctrl-C.
@@ -134,6 +134,20 @@ enum MemoryCommand {
     },
     /// Run the memory of an agent until Ctrl-C.
     Serve(serve::MemoryServeArgs),
+}
+
+impl MemoryCommand {
+    /// Whether it writes entities, or compares them with the present ones. Others read what is stored.
+    fn needs_working_memory(&self) -> bool {
+        match self {
+            Self::Put(_) | Self::Observe(_) | Self::Watch(_) | Self::Infer { .. } | Self::Health => true,
+            Self::Snapshot(args) => {
+                matches!(args.command, SnapshotCommand::Save { .. } | SnapshotCommand::Load { .. })
+            }
+            Self::Diff { to, .. } => to.is_none(),
+            _ => false,
+        }
+    }
 }
 
 /// The built-in inferences.
@@ -197,7 +211,7 @@ struct PutArgs {
     #[arg(long, value_name = "NS")]
     time: Option<u64>,
     /// The memory removes the entity after this time, for instance `10s` or `2h`, if nobody writes it again.
-    #[arg(long, value_name = "TIME", value_parser = crate::run::read_time)]
+    #[arg(long, value_name = "TIME", value_parser = read_ttl)]
     ttl: Option<Duration>,
     /// Remove the entity.
     #[arg(long, conflicts_with_all = ["set", "ttl"])]
@@ -314,13 +328,19 @@ struct ExportArgs {
 }
 
 #[derive(Clone, Debug, Args)]
+#[group(required = true, multiple = true)]
 struct RetainArgs {
     /// How long snapshots are kept, days.
-    #[arg(long, value_name = "DAYS", allow_negative_numbers = true, required_unless_present = "megabytes")]
+    #[arg(long, value_name = "DAYS", allow_negative_numbers = true)]
     days: Option<f64>,
     /// Most megabytes of records.
     #[arg(long, value_name = "MB", allow_negative_numbers = true)]
     megabytes: Option<f64>,
+}
+
+fn read_ttl(text: &str) -> Result<Duration, String> {
+    crate::run::read_time(text)
+        .map_err(|_| "a time greater than 0 is needed, in ms, s, min or h, for instance `10min`".into())
 }
 
 impl From<armarium_bus::SessionError> for CommandFailure {

@@ -4,7 +4,7 @@ use std::io::{BufRead as _, Read as _, Write};
 use std::sync::Arc;
 
 use armarium_knowledge::updater::Updater;
-use armarium_memoryx::Memory;
+use armarium_memoryx::{Memory, WorkingMemory};
 use armarium_values::Observation;
 use clap::Args;
 use tokio::sync::mpsc;
@@ -33,7 +33,8 @@ pub(super) async fn observe(
 ) -> Result<u8, CommandFailure> {
     let (memory, _session): (Arc<dyn Memory>, _) = match reached {
         OpenedMemory::Agent { remote, session } => (Arc::new(remote), Some(session)),
-        OpenedMemory::File { memory, .. } => (memory, None),
+        OpenedMemory::File(ref agent) => (Arc::<WorkingMemory>::clone(agent.memory()), None),
+        OpenedMemory::Store { memory, .. } => (Arc::new(memory), None),
     };
     let updater = Updater::new(memory, &args.provider)?;
     let (to, mut lines) = mpsc::channel(WAITING);

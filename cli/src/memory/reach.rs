@@ -5,21 +5,31 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::Session;
+use armarium_knowledge::{AgentMemory, MemoryConfig};
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
-    EntityId, LongTermMemory, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory,
-    maintain, pages,
+    Backing, Clock, EntityId, LongTermMemory, Memory, MemoryError, MemoryLimits, Query, RemoteMemory,
+    Snapshot, StoreError, WorkingMemory, maintain, pages,
 };
 
-use super::{CommandFailure, MemoryArgs, MemoryCommand};
+use super::{CommandFailure, LOCAL, MemoryArgs, MemoryCommand};
 
 /// Default listening endpoint of an agent.
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 const MAX_SNAPSHOTS_PER_QUERY: usize = 4096;
 
 pub(super) enum OpenedMemory {
-    Agent { remote: RemoteMemory, session: Session },
-    File { store: Arc<LongTermMemory>, memory: Arc<WorkingMemory> },
+    Agent {
+        remote: RemoteMemory,
+        session: Session,
+    },
+    /// The memory of an agent that nobody reaches, on a file.
+    File(Box<AgentMemory>),
+    /// A file as it is, also a damaged one: only what is asked for is read. Working memory is empty.
+    Store {
+        store: Arc<LongTermMemory>,
+        memory: WorkingMemory,
+    },
 }
 
 impl OpenedMemory {
@@ -31,9 +41,8 @@ impl OpenedMemory {
             if !makes && !file.exists() {
                 return Err(CommandFailure::Argument(format!("there is no file `{}`", file.display())));
             }
-            let store = Arc::new(LongTermMemory::open(file)?);
-            let memory = Arc::new(opened(&store)?);
-            return Ok(Self::File { store, memory });
+            let clock: Clock = Arc::new(wall_clock_ns);
+            return if args.command.needs_working_memory() { held(file, clock) } else { stored(file, clock) };
         }
         let mut connection = args.connection.clone();
         if connection.connect.is_empty() {
@@ -60,7 +69,8 @@ impl OpenedMemory {
     pub(super) fn memory(&self) -> &dyn Memory {
         match self {
             Self::Agent { remote, .. } => remote,
-            Self::File { memory, .. } => &**memory,
+            Self::File(agent) => &**agent.memory(),
+            Self::Store { memory, .. } => memory,
         }
     }
 
@@ -68,16 +78,18 @@ impl OpenedMemory {
     pub(super) fn now_ns(&self) -> u64 {
         match self {
             Self::Agent { session, .. } => session.now_ns(),
-            Self::File { memory, .. } => memory.now_ns(),
+            Self::File(agent) => agent.memory().now_ns(),
+            Self::Store { memory, .. } => memory.now_ns(),
         }
     }
 
     /// Reads all snapshots of a query, piece by piece.
     pub(super) async fn each(
         &self,
-        query: Query,
+        mut query: Query,
         mut act: impl FnMut(&Snapshot) -> Result<(), CommandFailure>,
     ) -> Result<u64, CommandFailure> {
+        query.long_term |= matches!(self, Self::Store { .. });
         let mut count = 0;
         // The nearest are ordered by distance, and a bounded answer is one piece.
         if query.is_nearest() || query.most.is_some() {
@@ -100,17 +112,32 @@ impl OpenedMemory {
     pub(super) async fn maintain(&self, request: Maintain) -> Result<MaintenanceReport, CommandFailure> {
         match self {
             Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),
-            Self::File { store, memory } => Ok(maintain::carry_out(request, Some(store), memory)?),
+            Self::File(agent) => {
+                Ok(maintain::carry_out(request, agent.store().map(Arc::as_ref), agent.memory())?)
+            }
+            Self::Store { store, memory } => {
+                let mut report = maintain::carry_out(request, Some(store), memory)?;
+                report.counts.retain(|name, _| !name.starts_with("working_"));
+                Ok(report)
+            }
         }
     }
 }
 
-/// A working memory on a file, with its newest snapshots. Its clock is the machine's.
-fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, CommandFailure> {
-    let backing = Arc::clone(store) as Arc<dyn armarium_memoryx::Backing>;
-    let memory = WorkingMemory::new(Arc::new(wall_clock_ns)).with_backing(backing);
-    store.load_into(&memory, Pattern::any())?;
-    Ok(memory)
+fn held(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {
+    let config = MemoryConfig { limits: MemoryLimits::default(), ..MemoryConfig::new(LOCAL) };
+    let opened = AgentMemory::open(config.with_store(file), clock);
+    let agent = opened.map_err(|error| match LongTermMemory::open(file) {
+        Err(locked @ StoreError::Locked { .. }) => locked.into(),
+        _ => CommandFailure::from(error),
+    })?;
+    Ok(OpenedMemory::File(Box::new(agent)))
+}
+
+fn stored(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {
+    let store = Arc::new(LongTermMemory::open(file)?);
+    let memory = WorkingMemory::new(clock).with_backing(Arc::clone(&store) as Arc<dyn Backing>);
+    Ok(OpenedMemory::Store { store, memory })
 }
 
 /// The wall clock, ns since 1970.

@@ -85,12 +85,10 @@ pub(super) async fn serve(
     let served = agent.share(&session).await?;
     let endpoints = session.endpoints().await.join(" ");
     let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));
-    writeln!(
-        out,
-        "memory of `{}` at {endpoints}, {} entities, {kept}; Ctrl-C ends it",
-        serve.name,
-        agent.memory().len()
-    )?;
+    // Of a large file, working memory has only a part so far.
+    let stored = agent.store().map_or(Ok(0), |store| store.stats().map(|stats| stats.entities))?;
+    let entities = stored.max(agent.memory().len() as u64);
+    writeln!(out, "memory of `{}` at {endpoints}, {entities} entities, {kept}; Ctrl-C ends it", serve.name)?;
     out.flush()?;
     stopped().await;
     drop((served, agent));

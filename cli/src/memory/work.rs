@@ -59,7 +59,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
             let count = reached.each(self::query(query)?, |s| shown.row(s, out)).await?;
             shown.end(count, "snapshots", out)?;
         }
-        MemoryCommand::Export(export) => self::export(&reached, export, out).await?,
+        MemoryCommand::Export(export) => self::export(&reached, export, &shown, out).await?,
         MemoryCommand::Import { file } => {
             let counts = import(&reached, file).await?;
             shown.counts(&counts, out)?;
@@ -217,6 +217,9 @@ async fn watch(
         }
     }
     out.flush()?;
+    if !matches!(reached, OpenedMemory::Agent { .. }) {
+        return Ok(());
+    }
     while left > 0 {
         let change = tokio::select! {
             biased;
@@ -328,33 +331,39 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], CommandFailure> {
 async fn export(
     reached: &OpenedMemory,
     export: &ExportArgs,
+    shown: &Printer,
     out: &mut dyn Write,
 ) -> Result<(), CommandFailure> {
     let pattern = pattern(&export.pattern.pattern)?;
-    if let Some(path) = export.output.as_ref().filter(|path| path.extension().is_some_and(|e| e == "mcap")) {
-        let count = recording::record(reached, pattern, path).await?;
-        return Ok(writeln!(out, "{count} snapshots")?);
-    }
-    let mut file = match &export.output {
-        Some(path) => Some(BufWriter::new(File::create(path).map_err(|e| unusable(path, &e))?)),
-        None => None,
+    let Some(path) = &export.output else {
+        return lines(reached, pattern, out).await.map(drop);
     };
-    let to: &mut dyn Write = match &mut file {
-        Some(file) => file,
-        None => out,
+    let count = if path.extension().is_some_and(|extension| extension == "mcap") {
+        recording::record(reached, pattern, path).await?
+    } else {
+        let file = File::create(path).map_err(|error| unusable(path, &error))?;
+        lines(reached, pattern, &mut BufWriter::new(file)).await?
     };
-    if let OpenedMemory::File { store, .. } = reached {
+    shown.counts(&[("snapshots".to_owned(), count)].into(), out)
+}
+
+/// Writes all snapshots that match as lines of JSON. Returns how many.
+async fn lines(
+    reached: &OpenedMemory,
+    pattern: Pattern,
+    mut to: &mut dyn Write,
+) -> Result<u64, CommandFailure> {
+    if let OpenedMemory::Store { store, .. } = reached {
         // Continues past damaged parts.
-        store.export(&pattern, &mut &mut *to)?;
-        return Ok(());
+        return Ok(store.export(&pattern, &mut to)?);
     }
-    let query = Query::history(pattern).with_long_term();
     let each = |snapshot: &Snapshot| -> Result<(), CommandFailure> {
         let line = serde_json::to_string(snapshot).map_err(|e| CommandFailure::Refused(e.to_string()))?;
         Ok(writeln!(to, "{line}")?)
     };
-    reached.each(query, each).await?;
-    Ok(to.flush()?)
+    let count = reached.each(Query::history(pattern).with_long_term(), each).await?;
+    to.flush()?;
+    Ok(count)
 }
 
 async fn import(reached: &OpenedMemory, file: &Path) -> Result<BTreeMap<String, u64>, CommandFailure> {
