@@ -73,6 +73,11 @@ impl<'f> Served<'f> {
         memory(self.folder, &self.args(args))
     }
 
+    /// As [`Self::ask`], by somebody who reaches another one, too.
+    fn ask_beside(&self, other: &Self, args: &[&str]) -> Output {
+        memory(self.folder, &[&self.args(&["--connect", &other.endpoint]), args].concat())
+    }
+
     fn said(&self, args: &[&str]) -> String {
         printed(&self.ask(args))
     }
@@ -146,6 +151,7 @@ fn what_is_asked_wrongly_is_refused_with_what_to_do() {
         (&["retain"][..], "<--days <DAYS>|--megabytes <MB>>"),
         (&["put", "a/b/c", "--ttl", "1x"], "in ms, s, min or h, for instance `10min`"),
         (&["tail"], "--last N shows what changed last"),
+        (&["top", "--once"], "give --agent instead of --store"),
         (&["lag"], "give --agent instead of --store"),
         (&["serve", "--megabytes", "0"], "even an empty file is larger"),
     ] {
@@ -206,4 +212,38 @@ fn a_memory_that_runs_answers_and_goes_on_after_its_end() {
     let alice = serve();
     assert_eq!(alice.put("Notes/me/n", &["--expect", "3"]), 4);
     assert!(alice.put("Rated/me/r", &[]) > 4);
+}
+
+#[test]
+fn who_follows_whom_and_how_far_behind_is_seen_from_both_sides() {
+    let folder = folder();
+    let alice = Served::start(folder.path(), "alice", &[]);
+    let bob = Served::start(folder.path(), "bob", &["--connect", &alice.endpoint]);
+    assert_eq!(bob.said(&["lag"]), "");
+    for entity in ["one", "one", "two"] {
+        alice.put(&format!("Notes/me/{entity}"), &[]);
+    }
+    // What a follower writes.
+    let origin = r#"origin={"map": {"agent": {"string": "alice"}, "provider": {"string": "me"}, "version": {"int": 1}}}"#;
+    bob.put("Notes/alice.me/one", &["--set", origin]);
+    let (agent, state) = (["--set", "agent=alice"], ["--set", "state=followed", "--set", "missed=7"]);
+    let segments = ["--set", r#"segments=["Notes"]"#];
+    bob.put("Following/bob/alice", &[&agent[..], &state, &segments].concat());
+    bob.put(
+        "Following/bob/carol",
+        &["--set", "agent=carol", "--set", "state=looked for", "--set", "why=it is away"],
+    );
+
+    let lag = bob.ask_beside(&alice, &["lag"]);
+    assert_eq!(lag.status.code(), Some(1), "{lag:?}");
+    let lag = rows(&text(&lag.stdout));
+    assert_eq!(lag.len(), 2, "{lag:?}");
+    let behind = |row: &Value| ["entities", "behind", "versions", "missed"].map(|name| row[name].as_u64());
+    assert!(lag[0]["follows"] == "alice" && behind(&lag[0]) == [1, 2, 2, 7].map(Some), "{lag:?}");
+    assert!(lag[1]["state"] == "looked for" && lag[1]["why"] == "it is away", "{lag:?}");
+
+    let top = rows(&printed(&alice.ask_beside(&bob, &["top", "--once"])));
+    let followers: Vec<&Value> = top.iter().filter(|row| row["followed_by"].is_string()).collect();
+    assert!(followers.len() == 1 && followers[0]["followed_by"] == "bob", "{top:?}");
+    assert_eq!(behind(followers[0]), [1, 2, 2, 7].map(Some));
 }

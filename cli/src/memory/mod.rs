@@ -14,6 +14,7 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::failure::CommandFailure;
 use crate::{logging, warnings};
 
+mod following;
 pub(crate) mod keep;
 mod lag;
 mod observe;
@@ -22,6 +23,7 @@ mod reach;
 mod recording;
 mod serve;
 mod show;
+mod top;
 mod work;
 
 /// The name of a memory without a given name.
@@ -77,7 +79,8 @@ enum MemoryCommand {
     /// Show changes as they come; with `--last`, first those that came last (of a file: only these).
     #[command(alias = "tail")]
     Watch(WatchArgs),
-    /// Show who writes how fast, and what it takes: each owner of provider segments, every second until Ctrl-C.
+    /// Show who writes what, how fast, and what it takes: each owner of provider segments by core segment; whom the agent follows,
+    /// and who in sight follows it. Every second until Ctrl-C.
     Top {
         /// Show one second, and end.
         #[arg(long)]
@@ -91,8 +94,8 @@ enum MemoryCommand {
     Query(QueryArgs),
     /// Store the whole working memory under a name, and load it back.
     Snapshot(SnapshotArgs),
-    /// Say how far the agent is behind those that it follows: entities, versions, since when, what was missed, and how far apart the
-    /// clocks are. Exit status 1 when it is behind.
+    /// Say how far the agent is behind those that it follows: entities, versions, since when, what was missed, and how far their
+    /// clocks are ahead of its own. Exit status 1 when it is behind, or still looks for one of them.
     Lag,
     /// Say what has changed since a named snapshot was taken: added (+), removed (-) and changed (~) entities.
     Diff {

@@ -74,6 +74,16 @@ impl OpenedMemory {
         }
     }
 
+    /// The running agent's memory, and the session on which it is reached.
+    pub(super) fn agent(&self) -> Result<(&RemoteMemory, &Session), CommandFailure> {
+        match self {
+            Self::Agent { remote, session } => Ok((remote, session)),
+            Self::File(_) | Self::Store { .. } => Err(CommandFailure::Argument(
+                "only an agent that runs writes and follows others: give --agent instead of --store".into(),
+            )),
+        }
+    }
+
     /// The time now, ns since 1970.
     pub(super) fn now_ns(&self) -> u64 {
         match self {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
+use std::time::Duration;
 
 use armarium_memoryx::wire::MaintenanceReport;
 use armarium_memoryx::{Snapshot, TimeOf};
@@ -9,6 +10,7 @@ use armarium_values::Value;
 use serde_json::{Value as Json, json};
 
 use super::CommandFailure;
+use super::following::Lag;
 
 /// Longest text of attributes in a row, characters.
 const MAX_WIDTH: usize = 72;
@@ -109,29 +111,73 @@ impl Printer {
         self.counts(&report.counts, out)
     }
 
-    /// What each owner of provider segments takes, and how much it has written since `before`, a second ago.
+    /// What each owner of provider segments takes in each core segment, and how much it has written since `before`, this long ago.
     pub(super) fn owners(
-        &mut self,
+        &self,
         before: &BTreeMap<String, u64>,
         now: &BTreeMap<String, u64>,
+        since: Duration,
         out: &mut dyn Write,
     ) -> Result<(), CommandFailure> {
         if !self.json {
-            writeln!(out, "{:<32} {:>10} {:>14} {:>12}", "owner", "entities", "bytes", "updates/s")?;
+            writeln!(
+                out,
+                "{:<24} {:<24} {:>10} {:>14} {:>12}",
+                "owner", "segment", "entities", "bytes", "updates/s"
+            )?;
         }
-        for owner in now.keys().filter_map(|name| name.strip_suffix("/entities")) {
+        for name in now.keys().filter_map(|name| name.strip_suffix("/entities")) {
             let count = |counts: &BTreeMap<String, u64>, what: &str| {
-                counts.get(&format!("{owner}/{what}")).copied().unwrap_or(0)
+                counts.get(&format!("{name}/{what}")).copied().unwrap_or(0)
             };
+            // An earlier program says it of all core segments together.
+            let (owner, segment) = name.split_once('/').unwrap_or((name, "*"));
             let (entities, bytes) = (count(now, "entities"), count(now, "bytes"));
-            let rate = count(now, "updates").saturating_sub(count(before, "updates"));
+            let written = count(now, "updates").saturating_sub(count(before, "updates"));
+            let rate = (written as f64 / since.as_secs_f64()).round() as u64;
             if self.json {
-                let row =
-                    json!({ "owner": owner, "entities": entities, "bytes": bytes, "updates_per_s": rate });
+                let row = json!({
+                    "owner": owner, "segment": segment, "entities": entities, "bytes": bytes, "updates_per_s": rate
+                });
                 writeln!(out, "{row}")?;
             } else {
-                writeln!(out, "{owner:<32} {entities:>10} {bytes:>14} {rate:>12}")?;
+                writeln!(out, "{owner:<24} {segment:<24} {entities:>10} {bytes:>14} {rate:>12}")?;
             }
+        }
+        Ok(())
+    }
+
+    /// How far followers are behind. `title` says what the names in the first column do.
+    pub(super) fn lags(&self, title: &str, lags: &[Lag], out: &mut dyn Write) -> Result<(), CommandFailure> {
+        if !self.json && !lags.is_empty() {
+            let titles = ["entities", "behind", "versions", "since, s", "missed", "clock ahead, s"];
+            writeln!(out, "{title:<24} {:<10}{}", "state", titles.map(|t| format!("{t:>15}")).concat())?;
+        }
+        for Lag { who, following, behind } in lags {
+            let (behind, why) = (behind.as_ref().ok(), behind.as_ref().err());
+            let clock_s = following.clock_ahead_s;
+            if self.json {
+                let row = json!({
+                    title.replace(' ', "_"): who, "state": following.state(), "why": why,
+                    "entities": behind.map(|b| b.entities), "behind": behind.map(|b| b.behind),
+                    "versions": behind.map(|b| b.versions), "since_s": behind.map(|b| b.since_s),
+                    "missed": following.missed, "clock_ahead_s": clock_s,
+                });
+                writeln!(out, "{row}")?;
+                continue;
+            }
+            let known = |text: Option<String>| text.unwrap_or_else(|| "?".into());
+            let columns = [
+                known(behind.map(|b| b.entities.to_string())),
+                known(behind.map(|b| b.behind.to_string())),
+                known(behind.map(|b| b.versions.to_string())),
+                known(behind.map(|b| format!("{:.3}", b.since_s))),
+                following.missed.to_string(),
+                known(clock_s.map(|clock| format!("{clock:.3}"))),
+            ];
+            let columns = columns.map(|column| format!("{column:>15}")).concat();
+            let why = why.map_or_else(String::new, |why| format!("  {why}"));
+            writeln!(out, "{who:<24} {:<10}{columns}{why}", following.state())?;
         }
         Ok(())
     }
@@ -242,6 +288,35 @@ mod tests {
                         armarium_memory_working_updates_total{agent=\"a\\\"b\"} 3\n\
                         # EOF\n";
         assert_eq!(String::from_utf8(out).unwrap(), expected);
+    }
+
+    fn said(print: impl FnOnce(&mut Vec<u8>) -> Result<(), CommandFailure>) -> String {
+        let mut out = Vec::new();
+        assert!(print(&mut out).is_ok());
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn owners_are_listed_by_core_segment() {
+        let counts = |updates: u64| {
+            let counts =
+                [("eye/S/entities", 2), ("eye/S/bytes", 90), ("eye/S/updates", updates), ("me/entities", 1)];
+            BTreeMap::from(counts.map(|(name, count)| (name.to_owned(), count)))
+        };
+        let print = |json| {
+            let (before, now) = (counts(10), counts(40));
+            said(|out| Printer::new(json).owners(&before, &now, Duration::from_secs(2), out))
+        };
+        let rows: Vec<String> = print(false)
+            .lines()
+            .skip(1)
+            .map(|row| row.split_whitespace().collect::<Vec<_>>().join(" "))
+            .collect();
+        assert_eq!(rows, ["eye S 2 90 15", "me * 1 0 0"]);
+        assert!(
+            print(true)
+                .starts_with(r#"{"bytes":90,"entities":2,"owner":"eye","segment":"S","updates_per_s":15}"#)
+        );
     }
 
     #[test]

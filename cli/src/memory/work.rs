@@ -5,7 +5,6 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
 
 use armarium_knowledge::infer;
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
@@ -46,7 +45,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
         }
         MemoryCommand::Observe(observe) => return super::observe::observe(reached, observe, out).await,
         MemoryCommand::Watch(watch) => self::watch(&reached, watch, &mut shown, out).await?,
-        MemoryCommand::Top { once } => top(&reached, *once, &mut shown, out).await?,
+        MemoryCommand::Top { once } => super::top::top(&reached, args, *once, &shown, out).await?,
         MemoryCommand::Metrics => {
             let report = reached.maintain(Maintain::Stats).await?;
             shown.metrics(&args.agent, &report.counts, out)?;
@@ -71,7 +70,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
                 [("concluded", round.concluded), ("written", round.written), ("removed", round.removed)];
             shown.counts(&counts.map(|(name, count)| (name.to_owned(), count)).into(), out)?;
         }
-        MemoryCommand::Lag => return Ok(u8::from(!super::lag::lag(&reached, args, out).await?)),
+        MemoryCommand::Lag => return Ok(u8::from(!super::lag::lag(&reached, args, &shown, out).await?)),
         MemoryCommand::Plot(plot) => super::plot::plot(&reached, plot, out).await?,
         MemoryCommand::Diff { .. } | MemoryCommand::Backup { .. } => {
             let report = reached.maintain(request(&args.command)?).await?;
@@ -259,30 +258,6 @@ async fn changed_last(
         last.extend(reached.memory().query(&newest).await?);
     }
     Ok(last)
-}
-
-/// Shows what each owner takes and has written in the last second, again and again.
-async fn top(
-    reached: &OpenedMemory,
-    once: bool,
-    shown: &mut Printer,
-    out: &mut dyn Write,
-) -> Result<(), CommandFailure> {
-    let mut before = reached.maintain(Maintain::Usage).await?.counts;
-    loop {
-        tokio::select! {
-            biased;
-            () = stopped() => return Ok(()),
-            () = tokio::time::sleep(Duration::from_secs(1)) => {}
-        }
-        let now = reached.maintain(Maintain::Usage).await?.counts;
-        shown.owners(&before, &now, out)?;
-        out.flush()?;
-        if once {
-            return Ok(());
-        }
-        before = now;
-    }
 }
 
 /// Commits and removes an entity of this command's own. Returns how long that took, us.
