@@ -247,3 +247,24 @@ fn who_follows_whom_and_how_far_behind_is_seen_from_both_sides() {
     assert!(followers.len() == 1 && followers[0]["followed_by"] == "bob", "{top:?}");
     assert_eq!(behind(followers[0]), [1, 2, 2, 7].map(Some));
 }
+
+#[test]
+fn who_is_followed_is_up_to_date_soon() {
+    let folder = folder();
+    let pose = r#"pose={"pose": {"frame": "world", "position": [0, 0, 0], "orientation": [0, 0, 0, 1]}}"#;
+    let alice = Served::start(folder.path(), "alice", &[]);
+    alice.put("AgentInstances/alice/alice", &["--set", pose]);
+    alice.put("Notes/me/one", &[]);
+    let follow = ["--connect", &alice.endpoint, "--follow", "alice:Notes"];
+    let bob = Served::start(folder.path(), "bob", &follow);
+    bob.put("AgentInstances/bob/bob", &["--set", pose]);
+    let lag = (0..100).map(|_| bob.ask_beside(&alice, &["lag"])).find(|lag| {
+        let rows = rows(&text(&lag.stdout));
+        lag.status.success() && rows.iter().any(|row| row["entities"] == 2)
+    });
+    let lag = rows(&text(&lag.expect("it is up to date at last").stdout));
+    assert!(lag.len() == 1 && lag[0]["state"] == "followed" && lag[0]["clock_ahead_s"].is_f64(), "{lag:?}");
+    let top = rows(&alice.said(&["top", "--once"]));
+    let notes = top.iter().find(|row| row["owner"] == "me").expect("who has written is there");
+    assert!(notes["segment"] == "Notes" && notes["entities"] == 1, "{top:?}");
+}

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use armarium_bus::{Session, keys};
+use armarium_knowledge::FOLLOWING;
 use armarium_memoryx::{EntityId, Head, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot};
 use armarium_values::Value;
 
@@ -11,8 +12,6 @@ use super::CommandFailure;
 
 /// How long other agents in sight may take to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
-/// The core segment in which an agent says whom it follows: an entity for each in its own provider segment.
-const FOLLOWING: &str = "Following";
 /// Most entities that the follower lacks and that are looked at, whether they are to be copied at all.
 const MAX_LOOKED_AT: usize = 1000;
 
