@@ -37,10 +37,11 @@ impl KeepArgs {
     }
 
     pub(crate) fn retention(&self) -> Result<Retention, String> {
-        if self.megabytes == Some(0.0) {
+        let kept = retention(self.days, self.megabytes)?;
+        if kept.bytes == Some(0) {
             return Err("--megabytes 0: even an empty file is larger; name how large it may become".into());
         }
-        retention(self.days, self.megabytes)
+        Ok(kept)
     }
 }
 
