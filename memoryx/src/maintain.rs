@@ -24,11 +24,15 @@ pub fn carry_out(
     if matches!(request, Maintain::Usage) {
         return Ok(MaintenanceReport { counts: memory.usage(), words: Vec::new() });
     }
-    let working = [
+    let mut working = vec![
         ("working_entities", memory.len() as u64),
         ("working_bytes", memory.bytes()),
         ("working_updates", memory.updates()),
     ];
+    if memory.is_partial() {
+        // More of the file is still being read.
+        working.push(("working_is_partial", 1));
+    }
     let Some(store) = store else {
         let what = "it has no file: start the agent with --store FILE".into();
         let is_stats = matches!(request, Maintain::Stats);

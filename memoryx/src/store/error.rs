@@ -95,6 +95,12 @@ pub enum StoreError {
         /// The system's message.
         what: String,
     },
+    /// Somebody else has met damage, and the file was opened again: asking again is answered.
+    #[error("long-term memory `{path}` was opened again meanwhile: try once more")]
+    Reopened {
+        /// The file.
+        path: String,
+    },
     /// Another snapshot already has this version.
     #[error("long-term memory has another version {version} of `{id}` already")]
     Version {

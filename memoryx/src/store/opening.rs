@@ -26,8 +26,8 @@ impl LongTermMemory {
         let open = open.map_or_else(|| self.reopen(), Ok)?;
         let result = self.contained(|| act(&open));
         self.closed(Some(open));
-        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
-        {
+        use StoreError::{Damaged, Failed, Full, Reopened};
+        if let Err(Full { .. } | Failed { .. } | Damaged { .. } | Reopened { .. }) = result {
             // The next use opens the file again.
             self.close();
         }
@@ -181,6 +181,7 @@ impl LongTermMemory {
             }
             Fault::Redb(redb::Error::Io(e)) if is_spoiled(&e) => self.damaged(e.to_string()),
             Fault::Redb(redb::Error::DatabaseAlreadyOpen) => StoreError::Locked { path },
+            Fault::Redb(redb::Error::PreviousIo) => StoreError::Reopened { path },
             Fault::Redb(error) => StoreError::Failed { path, what: error.to_string() },
         }
     }

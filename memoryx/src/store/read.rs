@@ -324,7 +324,7 @@ impl LongTermMemory {
     /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the query is invalid.
     pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
         let asked = query.check().map_err(query_error)?;
-        self.read(|reader| {
+        self.read_again(|reader| {
             let mut answer = asked.answer(&|| true);
             for entity in reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id))? {
                 let entity = entity?;
@@ -402,7 +402,7 @@ impl LongTermMemory {
 
     /// The last version that an entity may have been given; 0 when it has none.
     pub(super) fn last_given(&self, id: &EntityId) -> Result<u64, StoreError> {
-        self.read(|reader| {
+        self.read_again(|reader| {
             let Some(entity) = reader.entity(id)? else { return Ok(0) };
             let newest = reader.newest(entity.number)?.map_or(0, |(version, _)| version);
             Ok(newest.max(reader.given(entity.number)?))
@@ -431,6 +431,14 @@ impl LongTermMemory {
 
     pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
         self.read_tables(|transaction| act(&Reader::new(transaction)?))
+    }
+
+    /// As [`Self::read`], once more where another reader's damage has ended the first time.
+    fn read_again<T>(&self, act: impl Fn(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
+        match self.read(&act) {
+            Err(StoreError::Reopened { .. }) => self.read(&act),
+            read => read,
+        }
     }
 
     /// Reads the tables, which have everything that is stored.

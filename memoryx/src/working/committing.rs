@@ -173,7 +173,7 @@ impl Core {
         if next.is_partial && next.newest(id).is_none() {
             let found = self.backed(&Query { removed: true, ..Query::latest(Pattern::entity(id)) })?;
             let fitting = found.into_iter().find(|snapshot| self.fits(snapshot, next).is_ok());
-            fitting.inspect(|snapshot| next.put_in(snapshot, self.limits.history));
+            fitting.inspect(|snapshot| next.restore(snapshot, self.limits.history));
         }
         Ok(())
     }

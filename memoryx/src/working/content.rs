@@ -68,7 +68,7 @@ struct SegmentContent {
 /// the order of this map.
 type Entities = GenericHashMap<History, (), BuildHasherDefault<DefaultHasher>, DefaultSharedPtr>;
 
-/// A part of a memory's capacity, and how many snapshots were inserted into it.
+/// A part of a memory's capacity, and how many snapshots were committed to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Usage {
     pub(super) entities: usize,
@@ -214,7 +214,17 @@ impl Content {
         selected.map(|snapshot| snapshot.version).collect()
     }
 
+    /// Puts in a snapshot that was committed.
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
+        self.put(snapshot, keep, 1);
+    }
+
+    /// Puts in a snapshot that was committed earlier.
+    pub(super) fn restore(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
+        self.put(snapshot, keep, 0);
+    }
+
+    fn put(&mut self, snapshot: &Arc<Snapshot>, keep: usize, updates: u64) {
         let id = &snapshot.id;
         if !self.segments.contains_key(id.segment()) {
             self.segments.insert(id.segment().into(), Arc::default());
@@ -245,7 +255,7 @@ impl Content {
             self.removed.insert((snapshot.arrived_ns, id.clone()));
         }
         self.last_arrival = self.last_arrival.max(snapshot.arrived_ns);
-        let more = Usage { entities: usize::from(before.is_none()), bytes: snapshot.bytes(), updates: 1 };
+        let more = Usage { entities: usize::from(before.is_none()), bytes: snapshot.bytes(), updates };
         self.count(id, more, Usage { bytes: freed, ..Usage::default() });
         for _ in 0..FORGOTTEN_PER_SNAPSHOT {
             self.forget_removed(snapshot.arrived_ns);

@@ -258,7 +258,7 @@ impl WorkingMemory {
     }
 
     /// What each owner of provider segments takes of each core segment: `OWNER/SEGMENT/entities`, `OWNER/SEGMENT/bytes`, and
-    /// `OWNER/SEGMENT/updates`, which is how many snapshots were inserted so far.
+    /// `OWNER/SEGMENT/updates`, which is how many snapshots were committed so far.
     pub fn usage(&self) -> BTreeMap<String, u64> {
         let of_owner = |(owner, segment, usage): (&str, &str, content::Usage)| {
             [("entities", usage.entities as u64), ("bytes", usage.bytes), ("updates", usage.updates)]
@@ -272,7 +272,12 @@ impl WorkingMemory {
         self.core.content().last_arrival
     }
 
-    /// How many snapshots were inserted so far.
+    /// Whether entities may still be in the backing only, because they are still being read from it.
+    pub(crate) fn is_partial(&self) -> bool {
+        self.core.content().is_partial
+    }
+
+    /// How many snapshots were committed so far.
     pub fn updates(&self) -> u64 {
         self.core.content().all.updates
     }
@@ -382,7 +387,7 @@ impl WorkingMemory {
             }
             match self.core.fits(&snapshot, &next) {
                 Ok(()) => {
-                    next.put_in(&snapshot, self.core.limits.history);
+                    next.restore(&snapshot, self.core.limits.history);
                     writer.note_arrival(snapshot.arrived_ns, now_ns);
                     count += 1;
                 }
@@ -448,7 +453,7 @@ impl WorkingMemory {
 
     /// Whether the answer to a query depends on the backing.
     fn looks_in_backing(&self, query: &Query) -> bool {
-        query.long_term || self.core.content().is_partial
+        query.long_term || self.is_partial()
     }
 
     /// [`Memory::subscribe`] without async.
@@ -475,7 +480,7 @@ impl Memory for WorkingMemory {
     }
 
     async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
-        if self.core.content().is_partial && !has_one_thread() {
+        if self.is_partial() && !has_one_thread() {
             return block_in_place(|| self.latest_now(id));
         }
         self.latest_now(id)
