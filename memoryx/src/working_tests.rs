@@ -288,3 +288,25 @@ proptest! {
         }
     }
 }
+
+/// An answer that ends early says where, and goes on there; one that cannot go on is refused.
+#[test]
+fn an_answer_says_what_was_not_looked_at() {
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    memory.commit_now((0..1000).map(|n| update(&format!("e{n:03}"), 0, n)).collect()).unwrap();
+    let mut query = Query::latest(Pattern::any()).filter("value >= 500");
+    let (mut found, mut parts) = (0, 0);
+    loop {
+        let left = std::cell::Cell::new(3);
+        let goes_on = || left.replace(left.get() - 1) > 1;
+        let answer = memory.query_while(&query, &goes_on).unwrap();
+        found += answer.snapshots.len();
+        parts += 1;
+        let Some(next) = answer.next else { break };
+        assert!(next > query.after.replace(next.clone()).unwrap_or(Cursor::behind(&update("e000", 0, 0).id)));
+    }
+    assert!(found == 500 && parts > 10, "{found} in {parts} parts");
+    let nearest = SpatialRegion::Nearest { frame: Frame::root(), to: [0.0; 3], count: 3 };
+    let refused = memory.query_while(&Query::latest(Pattern::any()).region(nearest), &|| false).unwrap_err();
+    assert!(refused.to_string().contains("was looked at"), "{refused}");
+}

@@ -339,3 +339,24 @@ impl Backing for Consolidator {
         Some(&*self.store)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{snapshot, store};
+    use super::*;
+
+    #[test]
+    fn what_is_remembered_of_entities_is_bounded() {
+        let (_folder, _, store) = store();
+        let kept = Consolidator::new(store, Policies::all(Policy::OnChange)).unwrap();
+        for group in 0..12 {
+            let names = (0..10_000).map(|n| snapshot(&format!("S/p/e{group}-{n}"), 1, 1, 1));
+            assert_eq!(kept.consolidate(&names.collect::<Vec<_>>()), Ok(10_000));
+            let known = kept.state.lock().last.len();
+            assert!(known <= MAX_KNOWN, "{known} are remembered");
+        }
+        // The file knows the others.
+        let other = snapshot("S/p/e0-0", 2, 2, 1);
+        assert_eq!(kept.consolidate(&[other]), Ok(0), "it has not changed");
+    }
+}
