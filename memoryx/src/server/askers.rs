@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
 
 use parking_lot::Mutex;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, SemaphorePermit};
 
 use super::BUDGET_KB;
 
@@ -73,9 +73,9 @@ impl Askers {
     }
 
     /// Waits until the query may compute, and lets it do so while the result is held.
-    pub(super) async fn turn<'w>(&'w self, waiting: &'w Waiting) -> impl Sized + use<'w> {
+    pub(super) async fn turn<'w>(&'w self, waiting: &'w Waiting) -> [Option<SemaphorePermit<'w>>; 2] {
         // First its own, so that one asker's queries wait for each other and not in front of the others.
-        let own = waiting.own.parallel.acquire().await;
-        (own, self.all.parallel.acquire().await)
+        let own = waiting.own.parallel.acquire().await.ok();
+        [own, self.all.parallel.acquire().await.ok()]
     }
 }

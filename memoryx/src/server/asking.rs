@@ -17,7 +17,6 @@ use crate::checked_query::Answer;
 use crate::entity::Snapshot;
 use crate::error::MemoryError;
 use crate::maintain;
-
 use crate::query::{Cursor, Query};
 use crate::wire::{
     self, HeadsPart, HeadsRequest, MAX_BYTES, MAX_SNAPSHOTS, Maintain, QueryRequest, Snapshots,

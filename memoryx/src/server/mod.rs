@@ -68,7 +68,6 @@ impl MemoryServer {
     ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, error);
         let entities = wire::every_entity(agent)?;
-
         let publisher = ChangePublisher::new(session, agent, Arc::clone(&memory)).await?;
         let shared = ServedMemory {
             session: session.clone(),
