@@ -73,13 +73,13 @@ fn groups(folder: &Path) {
             let updates = (0..group).map(|i| commit((g * group + i) % 1000, 1000));
             memory.commit_now(updates.collect()).expect("it fits");
         }
-        let what = format!("durable commits of {group} x 1 kB through working memory");
-        start.at_least(&what, KEPT, 100_000.0);
+        start.say(&format!("durable commits of {group} x 1 kB through working memory"), KEPT);
     }
 }
 
 fn ten_writers(folder: &Path) {
     let (_, memory) = agent(&folder.join("writers.redb"));
+    let mut ours = 0.0;
     for bytes in [100, 1000] {
         let start = Meter::start();
         std::thread::scope(|scope| {
@@ -95,7 +95,8 @@ fn ten_writers(folder: &Path) {
             }
         });
         let what = format!("durable updates of {WRITERS} writers, {TOGETHER} x {bytes} B at once");
-        start.at_least(&what, KEPT, 100_000.0);
+        // With a kilobyte each it is the disk that is measured, beside bare redb.
+        ours = if bytes == 100 { start.at_least(&what, KEPT, 100_000.0) } else { start.say(&what, KEPT) };
     }
     let bare = Database::create(folder.join("writers.bare.redb")).expect("a file");
     let start = Meter::start();
@@ -109,7 +110,8 @@ fn ten_writers(folder: &Path) {
             });
         }
     });
-    start.say("  bare redb, 1000 B each", KEPT);
+    let raw = start.say("  bare redb, 1000 B each", KEPT);
+    at_most("  bare redb's rate, times ours", raw / ours, "", 1.5);
 }
 
 fn committed(memory: &WorkingMemory) -> Duration {
