@@ -109,6 +109,43 @@ impl Backing for Counting {
         }
         Ok(())
     }
+
+    fn archive(&self) -> Option<&dyn Archive> {
+        Some(self)
+    }
+}
+
+impl Archive for Counting {
+    fn recall(&self, _: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        self.take(&[])?;
+        Ok(Vec::new())
+    }
+
+    fn versions(&self, _: &Query, _: bool, _: &mut dyn FnMut(u64) -> bool) -> Result<(), MemoryError> {
+        Ok(())
+    }
+}
+
+/// The only worker of the runtime does other things while a commit and a query wait for the disk.
+#[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+async fn no_worker_waits_for_the_disk() {
+    let backing = Arc::new(Counting::default());
+    let memory = Arc::new(WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::<Counting>::clone(&backing)));
+    backing.disk_is_busy.store(true, Ordering::Release);
+    let (writing, reading) = (Arc::clone(&memory), Arc::clone(&memory));
+    let writer = tokio::spawn(async move { writing.commit(vec![update("a", 1)]).await });
+    let reader =
+        tokio::spawn(async move { reading.query(&Query::latest(Pattern::any()).with_long_term()).await });
+    let waiting = Arc::clone(&backing);
+    let other = tokio::spawn(async move {
+        while waiting.takes.load(Ordering::Relaxed) < 2 {
+            tokio::task::yield_now().await;
+        }
+        waiting.disk_is_busy.store(false, Ordering::Release);
+    });
+    other.await.unwrap();
+    assert_eq!(writer.await.unwrap(), Ok(vec![1]));
+    assert!(reader.await.unwrap().is_ok());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
