@@ -19,6 +19,7 @@ pub mod control;
 mod error;
 pub mod keys;
 mod message;
+mod per_asker;
 mod queue;
 mod schema;
 mod segments;
@@ -30,11 +31,13 @@ pub use access::Access;
 pub use codec::{Bounds, CodecError, decode, decode_within, encode};
 pub use error::SessionError;
 pub use keys::{Key, KeyError, KeyPattern};
+pub use per_asker::PerAsker;
 pub use schema::{Payload, Schema};
 pub use session::{
     AliveToken, Boxed, IncomingQuery, Interest, Liveliness, LivelinessSubscription, Message, Mode, Queryable,
     Reply, Session, SessionConfig, Subscription, Tls,
 };
+pub use turns::aside;
 
 #[cfg(test)]
 mod loopback_tests;

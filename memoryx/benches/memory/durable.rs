@@ -81,37 +81,32 @@ fn ten_writers(folder: &Path) {
     let (_, memory) = agent(&folder.join("writers.redb"));
     let mut ours = 0.0;
     for bytes in [100, 1000] {
-        let start = Meter::start();
-        std::thread::scope(|scope| {
-            for writer in 0..WRITERS {
-                let memory = &memory;
-                scope.spawn(move || {
-                    for g in 0..KEPT / WRITERS / TOGETHER {
-                        let name = |i| writer * 1000 + (g * TOGETHER + i) % 1000;
-                        let updates = (0..TOGETHER).map(|i| commit(name(i), bytes));
-                        memory.commit_now(updates.collect()).expect("it fits");
-                    }
-                });
-            }
+        let start = of_all_writers(|writer, g| {
+            let name = |i| writer * 1000 + (g * TOGETHER + i) % 1000;
+            let updates = (0..TOGETHER).map(|i| commit(name(i), bytes));
+            memory.commit_now(updates.collect()).expect("it fits");
         });
         let what = format!("durable updates of {WRITERS} writers, {TOGETHER} x {bytes} B at once");
         // With a kilobyte each it is the disk that is measured, beside bare redb.
         ours = if bytes == 100 { start.at_least(&what, KEPT, 100_000.0) } else { start.say(&what, KEPT) };
     }
     let bare = Database::create(folder.join("writers.bare.redb")).expect("a file");
-    let start = Meter::start();
-    std::thread::scope(|scope| {
-        for writer in 0..WRITERS {
-            let bare = &bare;
-            scope.spawn(move || {
-                for g in 0..KEPT / WRITERS / TOGETHER {
-                    put_bare(bare, (0..TOGETHER).map(|i| (writer, g * TOGETHER + i)));
-                }
-            });
-        }
+    let start = of_all_writers(|writer, g| {
+        put_bare(&bare, (0..TOGETHER).map(|i| (writer, g * TOGETHER + i)));
     });
     let raw = start.say("  bare redb, 1000 B each", KEPT);
     at_most("  bare redb's rate, times ours", raw / ours, "", 1.5);
+}
+
+/// Writes all groups of all writers, each on a thread of its own.
+fn of_all_writers(write: impl Fn(u64, u64) + Sync) -> Meter {
+    let (start, write) = (Meter::start(), &write);
+    std::thread::scope(|scope| {
+        for writer in 0..WRITERS {
+            scope.spawn(move || (0..KEPT / WRITERS / TOGETHER).for_each(|g| write(writer, g)));
+        }
+    });
+    start
 }
 
 fn committed(memory: &WorkingMemory) -> Duration {

@@ -1,9 +1,8 @@
 //! What one asker may take of a shared memory's time and room, so that some is left for the others.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 
-use parking_lot::Mutex;
+use armarium_bus::PerAsker;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, SemaphorePermit};
 
 use super::BUDGET_KB;
@@ -13,13 +12,11 @@ const MAX_PARALLEL: usize = 8;
 const MAX_PARALLEL_OF_ONE: usize = 4;
 /// The part of the budget that one asker gets.
 const SHARES: u32 = 4;
-/// Askers that are kept before those that wait for nothing are forgotten.
-const MAX_KNOWN: usize = 64;
 
 /// All askers. Those who do not say who they are count as one.
 #[derive(Debug)]
 pub(super) struct Askers {
-    known: Mutex<BTreeMap<String, Weak<Share>>>,
+    shares: PerAsker<Share>,
     all: Share,
 }
 
@@ -46,30 +43,17 @@ impl Share {
 
 impl Askers {
     pub(super) fn new() -> Self {
-        Self { known: Mutex::default(), all: Share::new(MAX_PARALLEL, BUDGET_KB) }
+        Self { shares: PerAsker::default(), all: Share::new(MAX_PARALLEL, BUDGET_KB) }
     }
 
     /// Takes budget for a query to wait beside the others, so that commits never wait for queries. `None` when the
     /// asker, or all together, have none left.
     pub(super) fn admit(&self, asker: Option<&str>, kb: u32) -> Option<Waiting> {
-        let own = self.share(asker.unwrap_or_default());
+        let own = self.shares.of(asker, || Share::new(MAX_PARALLEL_OF_ONE, BUDGET_KB / SHARES));
         let room =
             |share: &Share, most: u32| Arc::clone(&share.room).try_acquire_many_owned(kb.min(most)).ok();
         let taken = [room(&own, BUDGET_KB / SHARES)?, room(&self.all, BUDGET_KB)?];
         Some(Waiting { own, _room: taken })
-    }
-
-    fn share(&self, asker: &str) -> Arc<Share> {
-        let mut known = self.known.lock();
-        if let Some(share) = known.get(asker).and_then(Weak::upgrade) {
-            return share;
-        }
-        if known.len() >= MAX_KNOWN {
-            known.retain(|_, share| share.strong_count() > 0);
-        }
-        let share = Arc::new(Share::new(MAX_PARALLEL_OF_ONE, BUDGET_KB / SHARES));
-        known.insert(asker.into(), Arc::downgrade(&share));
-        share
     }
 
     /// Waits until the query may compute, and lets it do so while the result is held.

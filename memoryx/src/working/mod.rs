@@ -13,11 +13,11 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, OnceLock, mpsc};
 
+use armarium_bus::aside;
 use async_trait::async_trait;
 use parking_lot::{Mutex, RwLock};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{broadcast, oneshot};
-use tokio::task::block_in_place;
 
 use crate::attributes::Attributes;
 use crate::changes::{Changes, PublishedSnapshot};
@@ -480,17 +480,11 @@ impl Memory for WorkingMemory {
     }
 
     async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
-        if self.is_partial() && !has_one_thread() {
-            return block_in_place(|| self.latest_now(id));
-        }
-        self.latest_now(id)
+        if self.is_partial() { aside(|| self.latest_now(id)) } else { self.latest_now(id) }
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        if self.looks_in_backing(query) && !has_one_thread() {
-            return block_in_place(|| self.query_now(query));
-        }
-        self.query_now(query)
+        if self.looks_in_backing(query) { aside(|| self.query_now(query)) } else { self.query_now(query) }
     }
 
     async fn subscribe(&self, pattern: &Pattern) -> Result<Changes, MemoryError> {
