@@ -322,11 +322,12 @@ impl Lab {
 
     /// A run whose arm moves at full speed, in contact.
     fn moving(&self) -> (Child, Box<dyn Iterator<Item = String>>) {
-        // On a busy machine a command may be late, which ends a run.
-        for _ in 0..10 {
+        let mut ended = Vec::new();
+        // On a busy machine a command may be late, which ends a run; the arm stands where that was, and the next goes on from there.
+        for _ in 0..60 {
             let mut program = run(self.folder.path(), LONG, &self.to_guard);
             let mut running = program.stdout(Stdio::null()).spawn().expect("it starts");
-            let said = Box::new(lines(running.stderr.take().expect("it is piped")));
+            let mut said = Box::new(lines(running.stderr.take().expect("it is piped")));
             while running.try_wait().expect("it can be asked").is_none() {
                 let Shown { fastest, force, .. } = self.arm.now();
                 if fastest > MOVING.0 && force > MOVING.1 {
@@ -334,8 +335,9 @@ impl Lab {
                 }
                 pause(Duration::from_millis(1));
             }
+            ended.extend(said.by_ref());
         }
-        panic!("the arm cannot be brought to speed: {:?}", self.arm.now());
+        panic!("the arm cannot be brought to speed: {:?} {ended:#?}", self.arm.now());
     }
 
     /// Somebody uses the robot as if nothing had been, as soon as the guard has found its driver again.

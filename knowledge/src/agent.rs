@@ -16,6 +16,7 @@ use armarium_memoryx::{
 use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
+use crate::core_segments::core_segments;
 use crate::infer::{Inference, RunningInference};
 use crate::prior::PriorKnowledge;
 use crate::share::{FollowedAgent, Followee, FollowingAgent};
@@ -138,7 +139,8 @@ impl AgentMemory {
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
     pub fn open(config: MemoryConfig, clock: Clock) -> Result<Self, MemoryError> {
-        let mut memory = WorkingMemory::new(Arc::clone(&clock)).with_limits(config.limits);
+        let mut memory =
+            WorkingMemory::new(Arc::clone(&clock)).with_segments(core_segments()).with_limits(config.limits);
         let mut kept = None;
         if let Some(file) = &config.store {
             let open = if config.shared { LongTermMemory::open_shared } else { LongTermMemory::open };

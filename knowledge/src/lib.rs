@@ -3,6 +3,7 @@
 //!
 //! - [`AgentMemory`]: all parts of an agent's memory, put together; it follows other agents, whose knowledge it has in its
 //!   own frame.
+//! - [`core_segments`]: of which things it knows what.
 //! - [`PriorKnowledge`]: object classes and scenes, known before anything is seen.
 //! - [`updater`]: turns observations into entities: matching, fusion, motion models.
 //! - [`Inference`]: conclusions from memory, with confidence and provenance.
@@ -10,12 +11,14 @@
 //! This room knows no image and no robot.
 
 mod agent;
+mod core_segments;
 pub mod infer;
 pub mod prior;
 mod share;
 pub mod updater;
 
 pub use agent::{AgentMemory, MemoryConfig, Restored, ServedMemory};
+pub use core_segments::core_segments;
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use share::{FOLLOWING, FollowedAgent, Followee, WORLD, agent_pose_update};

@@ -2,15 +2,24 @@
 
 use std::collections::BTreeMap;
 
-use armarium_values::Value;
+use armarium_values::{Type, Value};
 
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::{Memory, modify};
 use crate::query::{Pattern, Query, Times};
+use crate::schema::SegmentSchema;
+use crate::working::WorkingMemory;
 
 /// The core segment that the suite uses. It must be empty, and have no other user during the check.
 const SEGMENT: &str = "Conformance";
+/// One in which `subject` must be a text.
+pub(crate) const TYPED: &str = "Typed";
+
+/// A memory that checks [`TYPED`].
+pub(crate) fn typed(memory: WorkingMemory) -> WorkingMemory {
+    memory.with_segments([SegmentSchema::new(TYPED, "").required("subject", Type::String, "a text")])
+}
 
 fn id(name: &str) -> EntityId {
     EntityId::new(SEGMENT, "suite", name).unwrap()
@@ -138,7 +147,7 @@ async fn modification_sees_the_newest(memory: &dyn Memory) {
 async fn bad_commits_are_refused(memory: &dyn Memory) {
     let unsure = memory.commit(vec![update("g", 1, 1).with_confidence(f64::NAN)]).await;
     assert_eq!(unsure, Err(MemoryError::Confidence { id: id("g").to_string() }));
-    let relation = EntityId::new("ObjectRelations", "suite", "bad").unwrap();
+    let relation = EntityId::new(TYPED, "suite", "bad").unwrap();
     let typed = memory.commit(vec![Commit::new(relation, 0, [("subject", Value::Int(1))])]).await;
     assert!(
         matches!(&typed, Err(MemoryError::Schema { attribute, .. }) if attribute == "subject"),

@@ -32,7 +32,7 @@ pub struct EntityId {
 }
 
 /// One hypothesis about an entity at one time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Instance {
     /// Attributes by name.
     pub attributes: Attributes,
@@ -40,12 +40,11 @@ pub struct Instance {
     pub confidence: f64,
     /// Covariances of the attributes that have one, row by row, in the attribute's unit squared: one number for a
     /// number, 3x3 for a vector or a point, 6x6 for a pose (position, then rotation vector, rad).
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub covariance: BTreeMap<String, Vec<f64>>,
 }
 
 /// The state of an entity at one time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
     /// The entity.
     pub id: EntityId,
@@ -62,7 +61,7 @@ pub struct Snapshot {
 }
 
 /// An update of one entity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Commit {
     /// The entity.
     pub id: EntityId,

@@ -1,8 +1,6 @@
 //! Why a memory refuses: one enum for every memory, in process, on disk and over Zenoh.
 //!
-//! The enum is itself a payload, so that a remote writer receives the refusal unchanged.
-
-use serde::{Deserialize, Serialize};
+//! It is a payload too, so that a remote writer receives the refusal unchanged.
 
 impl From<armarium_bus::KeyError> for MemoryError {
     fn from(error: armarium_bus::KeyError) -> Self {
@@ -11,8 +9,7 @@ impl From<armarium_bus::KeyError> for MemoryError {
 }
 
 /// Why a memory refused.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MemoryError {
     /// A name that cannot be part of an address.

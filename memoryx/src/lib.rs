@@ -7,8 +7,7 @@
 //! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] has the messages).
 //! - [`LongTermMemory`]: storage on disk; [`Consolidator`] decides what is stored.
 //!
-//! Of things this room knows only the attributes that the standard core segments require ([`core_segments`]), and where
-//! something is: no object class, no robot, no image.
+//! Of things this room knows only where they are: no core segment, no object class, no robot, no image.
 
 mod attributes;
 mod awaited_thread;
@@ -41,7 +40,7 @@ pub use memory::{Head, Heads, Memory, Pages, modify, pages};
 pub use place::{SpatialRegion, distance, place_of};
 pub use query::{Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
-pub use schema::{Attribute, SegmentSchema, core_segments};
+pub use schema::{Attribute, SegmentSchema};
 pub use server::{MemoryServer, ServerOptions};
 pub use store::{
     Coding, Consolidator, Dropped, EntityChange, Loading, LongTermMemory, NamedSnapshot, Policies, Policy,

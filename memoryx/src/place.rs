@@ -1,14 +1,12 @@
 //! Where objects are: the position of a snapshot, and regions for queries.
 
 use armarium_values::{Frame, Value};
-use serde::{Deserialize, Serialize};
 
 use crate::entity::Snapshot;
 use crate::error::MemoryError;
 
 /// A region of space, in one frame. It contains no entity whose position is known in another frame only.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Debug, PartialEq)]
 pub enum SpatialRegion {
     /// A box along the frame's axes, faces included.
     Box {

@@ -3,16 +3,13 @@
 
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::place::SpatialRegion;
 use crate::time_of::TimeOf;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or `None` for any.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Pattern {
     /// The core segment.
     pub segment: Option<String>,
@@ -24,8 +21,7 @@ pub struct Pattern {
 
 /// Which of an entity's snapshots. Times are those that the data describe (`referenced_ns`), and of one clock ([`TimeOf`]):
 /// where an entity that matches is of the other one, the query is refused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Times {
     /// The newest version, unless it is a removal.
     #[default]
@@ -65,7 +61,7 @@ impl Times {
 }
 
 /// A position in the order of an answer.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Cursor {
     /// The entity.
     pub id: EntityId,
@@ -74,8 +70,7 @@ pub struct Cursor {
 }
 
 /// A query to a memory. The conditions after `pattern` and `times` are applied in the order of the fields.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Query {
     /// Which entities.
     pub pattern: Pattern,

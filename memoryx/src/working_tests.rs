@@ -20,7 +20,7 @@ fn memory(limits: MemoryLimits) -> Arc<WorkingMemory> {
 
 #[tokio::test(start_paused = true)]
 async fn it_conforms() {
-    let memory = WorkingMemory::new(tokio_clock());
+    let memory = conformance_tests::typed(WorkingMemory::new(tokio_clock()));
     conformance_tests::check(&memory).await;
 }
 

@@ -185,16 +185,19 @@ async fn it_is_understood_and_understands() {
     assert_eq!(fork.instances[0].attributes.get("value"), Some(&Value::Int(9)));
 
     // An update and a query with fields that this program does not know, and without those that may be left out.
-    let instance = json!({"attributes": {"value": {"int": 8}}, "confidence": 1.0, "origin": ["door"]});
+    let instance = json!({"attributes": {"value": {"int": 8}}, "origin": ["door"]});
     let update = json!({
         "id": "Things/p/plate", "referenced_ns": 7, "referenced_clock": "run", "instances": [instance],
     });
-    let commit = json!({"updates": [update], "sent_ns": 5, "priority": 3});
+    let commit = json!({"updates": [update], "priority": 3});
     let (_, payload) = ask(&near, "commit;v1", encode(&commit).unwrap()).await;
     assert_eq!(decode::<Versions>(&payload).unwrap().0, [1]);
     let query = json!({"times": "latest", "sorted_by": "size"});
     let (_, payload) = ask(&near, "query;v1", encode(&query).unwrap()).await;
-    assert_eq!(decode::<Snapshots>(&payload).unwrap().snapshots.len(), 3);
+    let snapshots = decode::<Snapshots>(&payload).unwrap().snapshots;
+    assert_eq!(snapshots.len(), 3);
+    let plate = snapshots.iter().find(|one| one.id == "Things/p/plate").unwrap();
+    assert_eq!((plate.sent_ns, plate.instances[0].confidence), (0, 1.0));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

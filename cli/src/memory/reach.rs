@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::Session;
-use armarium_knowledge::{AgentMemory, MemoryConfig};
+use armarium_knowledge::{AgentMemory, MemoryConfig, core_segments};
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
     Backing, Clock, EntityId, LongTermMemory, Memory, MemoryError, MemoryLimits, Query, RemoteMemory,
@@ -146,7 +146,9 @@ fn held(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {
 
 fn stored(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {
     let store = Arc::new(LongTermMemory::open(file)?);
-    let memory = WorkingMemory::new(clock).with_backing(Arc::clone(&store) as Arc<dyn Backing>);
+    let memory = WorkingMemory::new(clock)
+        .with_segments(core_segments())
+        .with_backing(Arc::clone(&store) as Arc<dyn Backing>);
     Ok(OpenedMemory::Store { store, memory })
 }
 

@@ -105,7 +105,7 @@ impl RemoteMemory {
                 wire::open(&message.encoding, &message.payload).map_err(|error| self.failed(error))
             }
             Reply::Refusal { encoding, payload } => Err(wire::open::<MemoryError>(&encoding, &payload)
-                .unwrap_or_else(|_| self.failed(String::from_utf8_lossy(&payload)))),
+                .unwrap_or_else(|_| self.failed(wire::of_any_kind(&payload)))),
         }
     }
 

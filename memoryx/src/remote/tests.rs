@@ -35,7 +35,7 @@ pub(crate) async fn pair_with(limits: MemoryLimits, clock: Option<Clock>) -> Pai
     let far = Session::open(&SessionConfig::default()).await.unwrap();
     let own = far.clone();
     let clock = clock.unwrap_or_else(|| Arc::new(move || own.now_ns()));
-    let memory = Arc::new(WorkingMemory::new(clock).with_limits(limits));
+    let memory = Arc::new(conformance_tests::typed(WorkingMemory::new(clock).with_limits(limits)));
     let server = serve(&far, &memory).await;
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
     let remote = RemoteMemory::connect(&near, "alice").await.unwrap();

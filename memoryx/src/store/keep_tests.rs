@@ -8,6 +8,7 @@ use armarium_values::{Frame, Pose, Reference, Value, Vector, Wrench};
 use super::tests::{all, removed, snapshot, store};
 use super::*;
 use crate::attributes::Attributes;
+use crate::conformance_tests::typed;
 use crate::entity::{Commit, Instance};
 use crate::error::MemoryError;
 use crate::working::Backing;
@@ -259,8 +260,8 @@ fn what_no_memory_would_have_taken_is_not_kept_from_elsewhere() {
 #[test]
 fn what_does_not_fit_stops_no_start() {
     let (_folder, path, store) = store();
-    let memory = WorkingMemory::new(Arc::new(|| 1));
-    let (odd, good) = (snapshot("ObjectInstances/p/odd", 1, 1, 1), snapshot("S/p/e", 1, 1, 1));
+    let memory = typed(WorkingMemory::new(Arc::new(|| 1)));
+    let (odd, good) = (snapshot("Typed/p/odd", 1, 1, 1), snapshot("S/p/e", 1, 1, 1));
     let keep = crate::wire::Maintain::Keep { snapshots: vec![Arc::clone(&odd)] };
     let refused = crate::maintain::carry_out(keep, Some(&store), &memory).unwrap_err();
     assert!(matches!(refused, MemoryError::Schema { .. }), "{refused}");
@@ -269,7 +270,7 @@ fn what_does_not_fit_stops_no_start() {
     let store = LongTermMemory::open(&path).unwrap();
     assert_eq!(store.load_into(&memory, Pattern::any()), Ok(1));
     assert_eq!(memory.query_now(&Query::latest(Pattern::any())), Ok(vec![good]));
-    assert_eq!(store.segments(), Ok(vec!["ObjectInstances".into(), "S".into()]));
+    assert_eq!(store.segments(), Ok(vec!["S".into(), "Typed".into()]));
 }
 
 /// The errors and counts of a memory without a file.

@@ -26,7 +26,7 @@ use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
 use crate::query::{Pattern, Query};
-use crate::schema::{SegmentSchema, core_segments};
+use crate::schema::SegmentSchema;
 
 mod blocks;
 mod committing;
@@ -169,13 +169,13 @@ impl Core {
 }
 
 impl WorkingMemory {
-    /// An empty memory with the standard core segments and [`MemoryLimits::default`].
+    /// An empty memory with [`MemoryLimits::default`], which takes any attributes.
     pub fn new(clock: Clock) -> Self {
         let limits = MemoryLimits::default();
         let core = Core {
             clock,
             limits,
-            schemas: core_segments(),
+            schemas: BTreeMap::new(),
             backing: None,
             changes: broadcast::channel(limits.backlog).0,
             writer: Mutex::default(),
@@ -194,6 +194,14 @@ impl WorkingMemory {
         let core = self.building();
         core.limits = MemoryLimits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
         core.changes = broadcast::channel(limits.backlog.clamp(1, 1 << 24)).0;
+        self
+    }
+
+    /// The same memory, which checks what is committed to these core segments. To be called before anyone commits.
+    #[must_use]
+    pub fn with_segments(mut self, schemas: impl IntoIterator<Item = SegmentSchema>) -> Self {
+        self.building().schemas =
+            schemas.into_iter().map(|schema| (schema.segment.clone(), schema)).collect();
         self
     }
 

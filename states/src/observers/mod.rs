@@ -13,7 +13,8 @@ mod seen;
 mod surroundings;
 mod wrist;
 
-use armarium_memoryx::{Attribute, SegmentSchema, core_segments};
+use armarium_knowledge::core_segments;
+use armarium_memoryx::{Attribute, SegmentSchema};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{ChannelDescription, ChannelSchema, MemorySegment};
 use armarium_runtime::skill::Parameter;
@@ -27,7 +28,7 @@ pub use memory::memory;
 /// The channels that the observers and skills of this room publish, and the core segments of memory that charts can observe.
 pub fn channels() -> ChannelSchema {
     let schema: ChannelSchema = [hand(), motion(), person(), wrist()].into_iter().collect();
-    core_segments().into_values().fold(schema, |schema, segment| schema.with_segment(described(segment)))
+    core_segments().into_iter().fold(schema, |schema, segment| schema.with_segment(described(segment)))
 }
 
 fn described(segment: SegmentSchema) -> MemorySegment {

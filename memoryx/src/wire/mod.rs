@@ -26,6 +26,8 @@ use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
 
+mod forms;
+
 /// Most snapshots in one answer.
 pub(crate) const MAX_SNAPSHOTS: usize = 8192;
 /// Most bytes of snapshots in one message, about; a single larger one is sent alone.
@@ -36,7 +38,8 @@ pub(crate) const MAX_BYTES: u64 = 4 << 20;
 pub struct CommitRequest {
     /// The updates.
     pub updates: Vec<Commit>,
-    /// When they were sent, ns since 1970 by the sender's clock.
+    /// When they were sent, ns since 1970 by the sender's clock; 0 from programs that do not say.
+    #[serde(default)]
     pub sent_ns: u64,
 }
 
@@ -201,6 +204,12 @@ pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, Code
     armarium_bus::decode(payload)
 }
 
+/// A payload of whatever kind, for people: a refusal of a later program, or of one that is no memory.
+pub(crate) fn of_any_kind(payload: &[u8]) -> String {
+    let known = armarium_bus::decode::<serde_json::Value>(payload);
+    known.map_or_else(|_| String::from_utf8_lossy(payload).into_owned(), |known| known.to_string())
+}
+
 /// The encoding and the bytes of a payload. A size that the receiver would refuse is refused here, where the sender can react.
 pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecError> {
     let (bytes, most) = (armarium_bus::encode(content)?, Bounds::default().bytes);
@@ -300,5 +309,8 @@ mod tests {
         let refusal = MemoryError::Conflict { id: "S/p/e".into(), expected: 1, actual: 2 };
         let (encoding, bytes) = seal(&refusal).unwrap();
         assert_eq!(open::<MemoryError>(&encoding, &bytes), Ok(refusal));
+        let later = armarium_bus::encode(&serde_json::json!({"asleep": {"until_s": 7}})).unwrap();
+        assert_eq!(of_any_kind(&later), r#"{"asleep":{"until_s":7}}"#);
+        assert_eq!(of_any_kind(b"who are you?"), "who are you?");
     }
 }
