@@ -21,7 +21,7 @@ pub use agent::{AgentMemory, MemoryConfig, Restored, ServedMemory};
 pub use core_segments::core_segments;
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
-pub use share::{FOLLOWING, FollowedAgent, Followee, WORLD, agent_pose_update};
+pub use share::{FOLLOWING, FollowedAgent, Followee, Following, Origin, WORLD, agent_pose_update};
 
 #[path = "../../memoryx/tests/proxy.rs"]
 #[cfg(test)]

@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use armarium_bus::{Session, keys};
-use armarium_knowledge::FOLLOWING;
-use armarium_memoryx::{EntityId, Head, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot};
-use armarium_values::Value;
+use armarium_knowledge::{FOLLOWING, Following, Origin};
+use armarium_memoryx::{EntityId, Head, Memory, MemoryError, Pattern, Query, RemoteMemory};
 
 use super::CommandFailure;
 
@@ -14,44 +13,6 @@ use super::CommandFailure;
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 /// Most entities that the follower lacks and that are looked at, whether they are to be copied at all.
 const MAX_LOOKED_AT: usize = 1000;
-
-/// One whom an agent follows.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Following {
-    /// The agent that is followed.
-    pub(super) agent: String,
-    /// The core segments of it that are followed, or patterns of these.
-    segments: Vec<String>,
-    /// While it is looked for: why it is not followed yet.
-    pub(super) looked_for: Option<String>,
-    /// How many versions were lost.
-    pub(super) missed: u64,
-    /// How far its clock is ahead of the follower's, s, if that is known.
-    pub(super) clock_ahead_s: Option<f64>,
-}
-
-impl Following {
-    fn of(snapshot: &Snapshot) -> Option<Self> {
-        let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
-        let segments = match snapshot.attribute("segments") {
-            Some(Value::List(names)) => names.iter().filter_map(Value::as_str).map(str::to_owned).collect(),
-            _ => Vec::new(),
-        };
-        let missed = snapshot.attribute("missed").and_then(Value::as_int);
-        Some(Self {
-            agent: text("agent")?.to_owned(),
-            segments,
-            looked_for: (text("state")? != "followed").then(|| text("why").unwrap_or_default().to_owned()),
-            missed: missed.and_then(|count| u64::try_from(count).ok()).unwrap_or(0),
-            clock_ahead_s: snapshot.attribute("clock_ahead_s").and_then(Value::as_f64),
-        })
-    }
-
-    /// As people and programs read it.
-    pub(super) fn state(&self) -> &'static str {
-        if self.looked_for.is_none() { "followed" } else { "looked for" }
-    }
-}
 
 /// Whom the agent `follower` follows, as its memory says.
 async fn followed_by(memory: &dyn Memory, follower: &str) -> Result<Vec<Following>, MemoryError> {
@@ -173,14 +134,8 @@ async fn copied(follower: &dyn Memory, agent: &str) -> Result<BTreeMap<EntityId,
     let mut versions = BTreeMap::new();
     let copies = Pattern::any().of_provider(&format!("{agent}.*"));
     for snapshot in follower.query(&Query::latest(copies)).await? {
-        let Some(origin) = snapshot.attribute("origin") else { continue };
-        let text = |name: &str| origin.get(name).and_then(Value::as_str).unwrap_or_default();
-        let version = origin.get("version").and_then(Value::as_int).and_then(|n| u64::try_from(n).ok());
-        let id = EntityId::new(snapshot.id.segment(), text("provider"), snapshot.id.entity());
-        if let (Ok(id), Some(version)) = (id, version)
-            && text("agent") == agent
-        {
-            versions.insert(id, version);
+        if let Some(origin) = Origin::of(&snapshot).filter(|origin| origin.agent == agent) {
+            versions.insert(origin.id, origin.version);
         }
     }
     Ok(versions)
@@ -189,7 +144,7 @@ async fn copied(follower: &dyn Memory, agent: &str) -> Result<BTreeMap<EntityId,
 /// Whether an entity is the leader's own knowledge: what it has copied itself is not copied again.
 async fn is_own(leader: &dyn Memory, id: &EntityId) -> Result<bool, MemoryError> {
     match leader.latest(id).await {
-        Ok(snapshot) => Ok(snapshot.attribute("origin").is_none()),
+        Ok(snapshot) => Ok(!Origin::has(&snapshot)),
         Err(MemoryError::NotFound { .. }) => Ok(false),
         Err(error) => Err(error),
     }
@@ -200,6 +155,7 @@ mod tests {
     use std::sync::Arc;
 
     use armarium_memoryx::{Commit, WorkingMemory, fields};
+    use armarium_values::Value;
 
     use super::*;
 
@@ -216,6 +172,7 @@ mod tests {
             ("agent", Some(agent.into())),
             ("provider", Some("eye".into())),
             ("version", Some(Value::Int(version))),
+            ("arrived_ns", Some(Value::Int(1))),
         ]))
     }
 
@@ -245,19 +202,11 @@ mod tests {
         );
         put(&bob, "Following/alice.alice/dave", [("agent", "dave".into()), state("followed")]);
         let alice = Following {
-            agent: "alice".into(),
-            segments: vec!["Agents".into(), "*".into()],
-            looked_for: None,
             missed: 3,
             clock_ahead_s: Some(0.5),
+            ..Following::new("alice", vec!["Agents".into(), "*".into()])
         };
-        let carol = Following {
-            agent: "carol".into(),
-            segments: Vec::new(),
-            looked_for: Some("absent".into()),
-            missed: 0,
-            clock_ahead_s: None,
-        };
+        let carol = Following { looked_for: Some("absent".into()), ..Following::new("carol", Vec::new()) };
         assert_eq!(followed_by(&bob, "bob").await, Ok(vec![alice, carol]));
     }
 
@@ -282,12 +231,8 @@ mod tests {
             put(&bob, &format!("S/alice.eye/{entity}"), [("origin", origin("alice", 1))]);
         }
         put(&bob, "S/alice.b.eye/new", [("origin", origin("alice.b", 1))]);
-        let following = |segments: &[&str]| Following {
-            agent: "alice".into(),
-            segments: segments.iter().map(|name| (*name).to_owned()).collect(),
-            looked_for: None,
-            missed: 0,
-            clock_ahead_s: None,
+        let following = |segments: &[&str]| {
+            Following::new("alice", segments.iter().map(|name| (*name).to_owned()).collect())
         };
         for (segments, expected) in [(&["S"][..], (2, 2, 3)), (&["S", "*"], (2, 3, 4)), (&["U"], (0, 0, 0))] {
             let found = behind(&bob, &alice, &following(segments)).await.unwrap();

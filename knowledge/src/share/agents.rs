@@ -14,7 +14,7 @@ use nalgebra::Isometry3;
 
 use super::frames::AGENTS;
 use super::record::FollowingRecord;
-use super::{FollowSettings, Following, WORLD, own_from_other};
+use super::{Copying, FollowSettings, WORLD, own_from_other};
 
 /// Core segments that are followed by default.
 const DEFAULT_SEGMENTS: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
@@ -67,7 +67,7 @@ impl Followee {
 pub struct FollowedAgent {
     /// The other agent's own memory.
     pub remote: Arc<RemoteMemory>,
-    followings: Vec<Following>,
+    followings: Vec<Copying>,
 }
 
 /// The update that states the pose of an agent's root frame in the world frame.
@@ -194,7 +194,7 @@ impl FollowingAgent {
         let (own, fuse_into) = (self.own.clone(), self.fuse_into.clone());
         let settings = FollowSettings { own, agent: agent.into(), pattern, fuse_into, record };
         let remote: Arc<dyn Memory> = Arc::<RemoteMemory>::clone(&followed.remote);
-        followed.followings.push(Following::start(remote, Arc::clone(&self.memory), settings).await?);
+        followed.followings.push(Copying::start(remote, Arc::clone(&self.memory), settings).await?);
         Ok(())
     }
 

@@ -10,23 +10,25 @@ use std::sync::Arc;
 
 use armarium_memoryx::{
     Change, Commit, EntityId, Follower, Instance, LastSeen, Memory, MemoryError, Pattern, Query, Snapshot,
-    WorkingMemory, fields, pages,
+    WorkingMemory, pages,
 };
-use armarium_values::{Observation, ObservedPlace, Value, Vector};
+use armarium_values::{Observation, ObservedPlace, Vector};
 use tokio::task::JoinSet;
 
 use crate::updater::{OBJECT_INSTANCES, Updater};
 
 mod agents;
 mod frames;
+mod origin;
 mod record;
 
 pub(crate) use agents::FollowingAgent;
 pub use agents::{FollowedAgent, Followee, agent_pose_update};
 pub use frames::WORLD;
 use frames::{AGENTS, own_from_other, transformed};
-pub use record::FOLLOWING;
+pub use origin::Origin;
 use record::FollowingRecord;
+pub use record::{FOLLOWING, Following};
 
 /// Changes that are committed together.
 const MAX_BATCH: usize = 256;
@@ -51,13 +53,13 @@ pub(crate) struct FollowSettings {
     pub(crate) record: Option<Arc<FollowingRecord>>,
 }
 
-/// Follows until this is dropped.
+/// Copies until this is dropped.
 #[derive(Debug)]
-pub(crate) struct Following {
+pub(crate) struct Copying {
     _tasks: JoinSet<()>,
 }
 
-impl Following {
+impl Copying {
     /// Continues to follow `other` from what `memory` already has of it.
     ///
     /// # Errors
@@ -99,12 +101,10 @@ async fn last_taken(
     let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PAGE_SIZE);
     while let Some(piece) = pieces.next(memory).await? {
         for snapshot in piece {
-            let origin = |name: &str| snapshot.attribute("origin")?.get(name)?.as_int();
-            let number = |name: &str| u64::try_from(origin(name)?).ok();
             let provider = snapshot.id.provider().strip_prefix(&prefix).unwrap_or_default();
             let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
             let last = told.entry(id).or_default();
-            if let (Some(version), Some(arrived_ns)) = (number("version"), number("arrived_ns")) {
+            if let Some(Origin { version, arrived_ns, .. }) = Origin::of(&snapshot) {
                 *last = LastSeen { version, arrived_ns };
             } else if snapshot.is_removed() {
                 *last = LastSeen { version: last.version + 1, arrived_ns: 0 };
@@ -160,7 +160,7 @@ impl FollowTask {
     /// Whether a snapshot is the agent's own knowledge. Agents' poses come by a following of their own, before all others.
     fn is_wanted(&self, snapshot: &Snapshot) -> bool {
         let comes_apart = self.settings.pattern.exact_segment().is_none() && snapshot.id.segment() == AGENTS;
-        !comes_apart && snapshot.attribute("origin").is_none()
+        !comes_apart && !Origin::has(snapshot)
     }
 
     async fn take(&self, news: Vec<(Arc<Snapshot>, u64)>) {
@@ -188,14 +188,9 @@ impl FollowTask {
 
     /// The update of this memory for a followed snapshot, in this agent's frame.
     fn translated(&self, snapshot: &Snapshot, missed: u64) -> Result<Commit, MemoryError> {
-        let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
-        let origin = Value::Map(fields([
-            ("agent", Some(self.settings.agent.as_str().into())),
-            ("provider", Some(snapshot.id.provider().into())),
-            ("version", Some(number(snapshot.version))),
-            ("arrived_ns", Some(number(snapshot.arrived_ns))),
-            ("missed", (missed > 0).then(|| number(missed))),
-        ]));
+        let Snapshot { version, arrived_ns, .. } = *snapshot;
+        let (agent, id) = (self.settings.agent.clone(), snapshot.id.clone());
+        let origin = Origin { agent, id, version, arrived_ns }.attribute(missed);
         let instances = snapshot.instances.iter().map(|instance| {
             let moved = self.moved(instance);
             Instance { attributes: moved.attributes.with("origin", origin.clone()), ..moved }

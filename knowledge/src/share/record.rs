@@ -1,8 +1,9 @@
 //! What an agent says of those that it follows, in its own memory: an entity for each, which others and people read like all that it knows.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{Commit, EntityId, MemoryError, WorkingMemory, fields};
+use armarium_memoryx::{Commit, EntityId, MemoryError, Snapshot, WorkingMemory, fields};
 use armarium_values::Value;
 use parking_lot::Mutex;
 
@@ -12,7 +13,7 @@ use super::agents::CLOCKS_APART_S;
 /// The core segment of these entities; the provider segment is the agent that follows.
 pub const FOLLOWING: &str = "Following";
 
-/// The entity of one followed agent:
+/// One whom an agent follows, as the entity says:
 ///
 /// | attribute | content |
 /// |---|---|
@@ -22,22 +23,66 @@ pub const FOLLOWING: &str = "Following";
 /// | `why` | while it is looked for: what went wrong last (text) |
 /// | `missed` | versions that it had forgotten before they were copied, in total |
 /// | `clock_ahead_s` | how far its clock is ahead of the follower's, s, where it says so |
-///
-/// It is written when it changes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Following {
+    /// The agent that is followed.
+    pub agent: String,
+    /// The core segments of it that are followed, or patterns of these.
+    pub segments: Vec<String>,
+    /// While it is looked for: why it is not followed yet.
+    pub looked_for: Option<String>,
+    /// How many versions were lost.
+    pub missed: u64,
+    /// How far its clock is ahead of the follower's, s, if that is known.
+    pub clock_ahead_s: Option<f64>,
+}
+
+impl Following {
+    /// Nobody has looked for it yet.
+    pub fn new(agent: &str, segments: Vec<String>) -> Self {
+        Self { agent: agent.into(), segments, looked_for: None, missed: 0, clock_ahead_s: None }
+    }
+
+    /// What an entity says, if it is one of these.
+    pub fn of(snapshot: &Snapshot) -> Option<Self> {
+        let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
+        let segments = match snapshot.attribute("segments") {
+            Some(Value::List(names)) => names.iter().filter_map(Value::as_str).map(str::to_owned).collect(),
+            _ => Vec::new(),
+        };
+        let missed = snapshot.attribute("missed").and_then(Value::as_int);
+        Some(Self {
+            looked_for: (text("state")? != "followed").then(|| text("why").unwrap_or_default().to_owned()),
+            missed: missed.and_then(|count| u64::try_from(count).ok()).unwrap_or(0),
+            clock_ahead_s: snapshot.attribute("clock_ahead_s").and_then(Value::as_f64),
+            ..Self::new(text("agent")?, segments)
+        })
+    }
+
+    /// `followed` or `looked for`.
+    pub fn state(&self) -> &'static str {
+        if self.looked_for.is_none() { "followed" } else { "looked for" }
+    }
+
+    fn attributes(&self) -> BTreeMap<String, Value> {
+        let segments = self.segments.iter().map(|segment| segment.as_str().into()).collect();
+        fields([
+            ("agent", Some(self.agent.as_str().into())),
+            ("segments", Some(Value::List(segments))),
+            ("state", Some(self.state().into())),
+            ("why", self.looked_for.as_deref().map(Into::into)),
+            ("missed", Some(Value::Int(i64::try_from(self.missed).unwrap_or(i64::MAX)))),
+            ("clock_ahead_s", self.clock_ahead_s.map(Value::Float)),
+        ])
+    }
+}
+
+/// Keeps the entity of one followed agent; it is written when it changes.
 #[derive(Debug)]
 pub(crate) struct FollowingRecord {
     memory: Arc<WorkingMemory>,
     id: EntityId,
-    agent: String,
-    segments: Vec<String>,
-    state: Mutex<FollowingState>,
-}
-
-#[derive(Clone, Debug, Default, PartialEq)]
-struct FollowingState {
-    why: Option<String>,
-    missed: u64,
-    clock_ahead_s: Option<f64>,
+    said: Mutex<Following>,
 }
 
 impl FollowingRecord {
@@ -48,54 +93,45 @@ impl FollowingRecord {
         followee: &Followee,
         segments: Vec<String>,
     ) -> Result<Self, MemoryError> {
-        let agent = followee.agent.clone();
+        let agent = &followee.agent;
         let segment = followee.segment.as_ref().map(|segment| format!(":{}", segment.replace('*', "any")));
         let id = EntityId::new(FOLLOWING, own, &format!("{agent}{}", segment.unwrap_or_default()))?;
-        Ok(Self { memory, id, agent, segments, state: Mutex::default() })
+        let said = Mutex::new(Following::new(agent, segments));
+        Ok(Self { memory, id, said })
     }
 
     /// Something is in the way. Returns whether it is something else than before.
     pub(super) fn is_looked_for(&self, why: &MemoryError) -> bool {
-        let why = Some(why.to_string());
-        self.change(|state| FollowingState { why, ..state })
+        let why = why.to_string();
+        self.change(|said| said.looked_for = Some(why))
     }
 
     /// It is followed, with its clock so far ahead, where that is known. Returns whether that clock is to be warned of: it is wrong, and
     /// otherwise than before.
     pub(super) fn is_followed(&self, clock_ahead_s: Option<f64>) -> bool {
-        let said = self.state.lock().clock_ahead_s;
+        let said = self.said.lock().clock_ahead_s;
         let is_other = match (said, clock_ahead_s) {
             (Some(said), Some(ahead_s)) => (said - ahead_s).abs() > CLOCKS_APART_S,
             (said, now) => said.is_some() != now.is_some(),
         };
         // A clock that is measured again a little otherwise is no news.
         let clock_ahead_s = if is_other { clock_ahead_s } else { said };
-        self.change(|state| FollowingState { why: None, clock_ahead_s, ..state });
+        self.change(|said| (said.looked_for, said.clock_ahead_s) = (None, clock_ahead_s));
         is_other && clock_ahead_s.is_some_and(|ahead_s| ahead_s.abs() > CLOCKS_APART_S)
     }
 
     pub(super) fn has_missed(&self, count: u64) {
-        self.change(|state| FollowingState { missed: state.missed + count, ..state });
+        self.change(|said| said.missed += count);
     }
 
-    fn change(&self, change: impl FnOnce(FollowingState) -> FollowingState) -> bool {
-        let mut state = self.state.lock();
-        let next = change(state.clone());
-        let is_written = self.memory.latest_now(&self.id).is_ok();
-        if is_written && *state == next {
+    fn change(&self, change: impl FnOnce(&mut Following)) -> bool {
+        let mut said = self.said.lock();
+        let before = said.clone();
+        change(&mut said);
+        if *said == before && self.memory.latest_now(&self.id).is_ok() {
             return false;
         }
-        *state = next;
-        let segments = self.segments.iter().map(|segment| segment.as_str().into()).collect();
-        let attributes = fields([
-            ("agent", Some(self.agent.as_str().into())),
-            ("segments", Some(Value::List(segments))),
-            ("state", Some(if state.why.is_some() { "looked for" } else { "followed" }.into())),
-            ("why", state.why.as_deref().map(Into::into)),
-            ("missed", Some(Value::Int(i64::try_from(state.missed).unwrap_or(i64::MAX)))),
-            ("clock_ahead_s", state.clock_ahead_s.map(Value::Float)),
-        ]);
-        let update = Commit::new(self.id.clone(), self.memory.now_ns(), attributes);
+        let update = Commit::new(self.id.clone(), self.memory.now_ns(), said.attributes());
         if let Err(error) = self.memory.commit_now(vec![update]) {
             tracing::warn!(%error, "what is followed cannot be told");
         }
@@ -127,7 +163,9 @@ mod tests {
         assert!(!record.is_followed(Some(-3.01)), "that was said");
         record.has_missed(4);
         record.has_missed(1);
-        assert_eq!(read("missed"), (5, Some(Value::Int(5))));
-        assert_eq!(read("clock_ahead_s"), (5, Some(Value::Float(-3.0))));
+        let entity = memory.latest_now(&"Following/bob/alice:Objectany".parse().unwrap()).unwrap();
+        let segments = vec!["Agents".to_owned(), "Object*".to_owned()];
+        let said = Following { missed: 5, clock_ahead_s: Some(-3.0), ..Following::new("alice", segments) };
+        assert_eq!((entity.version, Following::of(&entity)), (5, Some(said)));
     }
 }

@@ -6,7 +6,7 @@ use armarium_bus::{Access, Session, SessionConfig};
 use armarium_memoryx::{
     Consolidator, LongTermMemory, MemoryLimits, MemoryServer, Policies, Policy, RemoteMemory, ServerOptions,
 };
-use armarium_values::{Frame, Pose, Vector};
+use armarium_values::{Frame, Pose, Value, Vector};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::*;
@@ -63,7 +63,7 @@ async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
     bob.commit_now(vec![stands("alice", 2.0, quarter), stands("bob", 1.0, 0.0)]).unwrap();
     alice.commit_now(vec![cup(5, 0.3)]).unwrap();
     let other = Arc::<WorkingMemory>::clone(&alice);
-    let following = Following::start(other, Arc::clone(&bob), settings(Some("scene"))).await.unwrap();
+    let following = Copying::start(other, Arc::clone(&bob), settings(Some("scene"))).await.unwrap();
     arrived(&bob, &"ObjectInstances/scene/cup".parse().unwrap(), 5).await;
     let found = bob.latest_now(&"ObjectInstances/alice.vision/cup".parse().unwrap()).unwrap();
     // Alice stands one metre along Bob's x axis, and her x axis is parallel to his y axis.
@@ -84,7 +84,7 @@ async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
     drop(following);
     alice.commit_now(vec![cup(6, 0.4)]).unwrap();
     let other = Arc::<WorkingMemory>::clone(&alice);
-    let _following = Following::start(other, Arc::clone(&bob), settings(None)).await.unwrap();
+    let _following = Copying::start(other, Arc::clone(&bob), settings(None)).await.unwrap();
     arrived(&bob, &found.id, 6).await;
     let newest = bob.latest_now(&found.id).unwrap();
     assert_eq!((newest.version, newest.attribute("origin").unwrap().get("missed")), (2, None));
@@ -95,7 +95,7 @@ async fn who_follows_everything_takes_poses_of_agents_once() {
     let (alice, bob) = (WorkingMemory::new(Arc::new(|| 7)), Arc::new(WorkingMemory::new(Arc::new(|| 8))));
     alice.commit_now(vec![stands("alice", 2.0, 0.0), cup(5, 0.3)]).unwrap();
     let everything = FollowSettings { pattern: Pattern::segment("*"), ..settings(None) };
-    let _following = Following::start(Arc::new(alice), Arc::clone(&bob), everything).await.unwrap();
+    let _following = Copying::start(Arc::new(alice), Arc::clone(&bob), everything).await.unwrap();
     arrived(&bob, &"ObjectInstances/alice.vision/cup".parse().unwrap(), 5).await;
     assert_eq!(bob.len(), 1, "poses come by a following of their own");
 }
@@ -168,7 +168,7 @@ async fn after_a_cut_both_sides_are_equal() {
         .with_limits(MemoryLimits { history: 100_000, ..MemoryLimits::default() });
     let bob = Arc::new(bob);
     let shared = Arc::<RemoteMemory>::clone(&remote);
-    let _following = Following::start(shared, Arc::clone(&bob), settings(None)).await.unwrap();
+    let _following = Copying::start(shared, Arc::clone(&bob), settings(None)).await.unwrap();
     let commit = |from: u64, to: u64| {
         let times: Vec<u64> = (from..to).collect();
         for together in times.chunks(1000) {
