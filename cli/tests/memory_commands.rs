@@ -264,3 +264,40 @@ fn who_is_followed_is_up_to_date_soon() {
     let notes = top.iter().find(|row| row["owner"] == "me").expect("who has written is there");
     assert!(notes["segment"] == "Notes" && notes["entities"] == 1, "{top:?}");
 }
+
+/// A run's file, a robot's file and an agent that runs: one question to all three, each answer with its clock.
+#[test]
+fn several_memories_are_read_side_by_side() {
+    let folder = folder();
+    file(folder.path(), 1);
+    std::fs::rename(folder.path().join("m.redb"), folder.path().join("run.redb")).expect("it is closed");
+    std::fs::write(folder.path().join("none.jsonl"), "").expect("it can be written");
+    printed(&memory(folder.path(), &["--store", "robot.redb", "import", "none.jsonl"]));
+    printed(&memory(folder.path(), &["--store", "robot.redb", "put", "Things/p/e0", "--set", "text=robot"]));
+    let agent = Served::start(folder.path(), "alice", &[]);
+    agent.put("Things/p/e0", &["--set", "text=alice"]);
+
+    let others = ["--beside", "robot.redb", "--beside", "alice", "--connect", &agent.endpoint];
+    let of_run = |args: &[&str]| memory(folder.path(), &[&["--store", "run.redb"], args, &others].concat());
+    let told = rows(&printed(&of_run(&["query", "Things", "--json"])));
+    let whose: Vec<_> = told.iter().map(|row| (&row["memory"], &row["referenced_clock"])).collect();
+    let [run, day] = ["run", "day"].map(Value::from);
+    let [one, two, three] = ["run.redb", "robot.redb", "alice"].map(Value::from);
+    assert_eq!(whose, [(&one, &run), (&two, &day), (&three, &day)]);
+    assert_eq!(rows(&printed(&of_run(&["get", "Things/p/e0", "--json"]))), told);
+    let table = printed(&of_run(&["ls", "Things"]));
+    let firsts: Vec<_> = table.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    assert_eq!(firsts, ["memory", "run.redb", "robot.redb", "alice", "3"], "{table}");
+    let of_agent = agent.ask(&["get", "Things/p/e0", "--beside", "run.redb"]);
+    assert_eq!(rows(&printed(&of_agent)).len(), 2);
+
+    // A run's time says nothing of a robot's memory.
+    let asked = of_run(&["query", "Things", "--at", "7"]);
+    let said = text(&asked.stderr);
+    assert!(said.contains("robot.redb: ") && said.contains("it asks by a run's time"), "{said}");
+    for (other, wrong) in [("absent.redb", "there is no file `absent.redb`"), ("bob", "`bob`")] {
+        let refused = agent.ask(&["ls", "--beside", other]);
+        let said = text(&refused.stderr);
+        assert!(!refused.status.success() && said.contains(wrong), "{said}");
+    }
+}

@@ -172,7 +172,6 @@ mod tests {
             ("agent", Some(agent.into())),
             ("provider", Some("eye".into())),
             ("version", Some(Value::Int(version))),
-            ("arrived_ns", Some(Value::Int(1))),
         ]))
     }
 

@@ -57,7 +57,7 @@ impl MemoryArgs {
             "a file that no agent has open does not change: --last N shows what changed last"
         } else if self.agent != LOCAL || self.writer.is_some() {
             "--agent and --as name an agent, --store a file that no agent has open: leave one of them out"
-        } else if !self.connection.connect.is_empty() {
+        } else if !self.connection.connect.is_empty() && self.command.others().is_empty() {
             "--connect reaches an agent, --store opens a file that none has open: leave one of them out"
         } else {
             return Ok(());
@@ -69,7 +69,7 @@ impl MemoryArgs {
 #[derive(Clone, Debug, Subcommand)]
 enum MemoryCommand {
     /// List entities: version, time, confidence and attributes.
-    Ls(PatternArg),
+    Ls(LsArgs),
     /// Show an entity, or its history.
     Get(GetArgs),
     /// Write an entity, or remove it.
@@ -140,6 +140,16 @@ enum MemoryCommand {
 }
 
 impl MemoryCommand {
+    /// The other memories that are asked, too.
+    fn others(&self) -> &[String] {
+        match self {
+            Self::Ls(LsArgs { others, .. })
+            | Self::Get(GetArgs { others, .. })
+            | Self::Query(QueryArgs { others, .. }) => &others.beside,
+            _ => &[],
+        }
+    }
+
     /// Whether it writes entities, or compares them with the present ones. Others read what is stored.
     fn needs_working_memory(&self) -> bool {
         match self {
@@ -179,10 +189,28 @@ struct PatternArg {
     pattern: String,
 }
 
+/// Other memories that answer the same question.
+#[derive(Clone, Debug, Args)]
+struct BesideArgs {
+    /// Ask another memory, too, a running agent's or a file's, and say of each row whose it is. May be given several times.
+    #[arg(long, value_name = "AGENT|FILE")]
+    beside: Vec<String>,
+}
+
+#[derive(Clone, Debug, Args)]
+struct LsArgs {
+    #[command(flatten)]
+    pattern: PatternArg,
+    #[command(flatten)]
+    others: BesideArgs,
+}
+
 #[derive(Clone, Debug, Args)]
 struct GetArgs {
     /// The address, `SEGMENT/PROVIDER/ENTITY`.
     id: String,
+    #[command(flatten)]
+    others: BesideArgs,
     /// All versions that still exist, long-term memory included.
     #[arg(long)]
     history: bool,
@@ -240,6 +268,8 @@ struct WatchArgs {
 struct QueryArgs {
     #[command(flatten)]
     pattern: PatternArg,
+    #[command(flatten)]
+    others: BesideArgs,
     /// Only snapshots for which a CEL expression is true: `class == 'cup' && position.z > 0.8`.
     #[arg(long, value_name = "CEL")]
     filter: Option<String>,

@@ -38,20 +38,34 @@ impl OpenedMemory {
         if let Some(file) = &args.store {
             args.only_a_file()?;
             let makes = matches!(args.command, MemoryCommand::Import { .. });
-            if !makes && !file.exists() {
-                return Err(CommandFailure::Argument(format!("there is no file `{}`", file.display())));
+            if !makes {
+                check_file(file)?;
             }
             let clock: Clock = Arc::new(wall_clock_ns);
             return if args.command.needs_working_memory() { held(file, clock) } else { stored(file, clock) };
         }
+        Self::of_agent(args, &args.agent).await
+    }
+
+    /// Opens another memory to be read, too: a file's, or a running agent's.
+    pub(super) async fn beside(args: &MemoryArgs, name: &str) -> Result<Self, CommandFailure> {
+        let file = Path::new(name);
+        if file.is_file() || name.contains('/') || name.ends_with(".redb") {
+            check_file(file)?;
+            return stored(file, Arc::new(wall_clock_ns));
+        }
+        Self::of_agent(args, name).await
+    }
+
+    async fn of_agent(args: &MemoryArgs, agent: &str) -> Result<Self, CommandFailure> {
         let mut connection = args.connection.clone();
         if connection.connect.is_empty() {
             connection.connect = vec![USUAL_ENDPOINT.into()];
         }
         let session = connection.session(None).await?;
         let remote = match &args.writer {
-            Some(writer) => RemoteMemory::connect_as(&session, &args.agent, writer).await,
-            None => RemoteMemory::connect(&session, &args.agent).await,
+            Some(writer) => RemoteMemory::connect_as(&session, agent, writer).await,
+            None => RemoteMemory::connect(&session, agent).await,
         };
         let remote = remote.map_err(|error| match error {
             MemoryError::Remote { .. } => {
@@ -132,6 +146,11 @@ impl OpenedMemory {
             }
         }
     }
+}
+
+fn check_file(file: &Path) -> Result<(), CommandFailure> {
+    let absent = || CommandFailure::Argument(format!("there is no file `{}`", file.display()));
+    if file.exists() { Ok(()) } else { Err(absent()) }
 }
 
 fn held(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {

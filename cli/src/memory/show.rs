@@ -19,34 +19,51 @@ const MAX_WIDTH: usize = 72;
 pub(super) struct Printer {
     json: bool,
     rows: u64,
+    /// Whose snapshots these are, where several memories are asked.
+    pub(super) memory: Option<String>,
 }
 
 impl Printer {
     pub(super) fn new(json: bool) -> Self {
-        Self { json, rows: 0 }
+        Self { json, rows: 0, memory: None }
     }
 
     /// One snapshot in one line.
     pub(super) fn row(&mut self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), CommandFailure> {
         if self.json {
-            return Ok(writeln!(out, "{}", json_of(snapshot))?);
+            return self.line(snapshot, out);
         }
+        let whose = |text: &str| self.memory.as_ref().map_or_else(String::new, |_| format!("{text:<20} "));
         if self.rows == 0 {
             writeln!(
                 out,
-                "{:<44} {:>7}  {:<23} {:>5}  attributes",
-                "entity", "version", "time (UTC, or of a run)", "conf"
+                "{}{:<44} {:>7}  {:<23} {:>5}  attributes",
+                whose("memory"),
+                "entity",
+                "version",
+                "time (UTC, or of a run)",
+                "conf"
             )?;
         }
-        self.rows += 1;
         let confidence = snapshot.instance().map_or_else(|| "-".into(), |i| format!("{:.2}", i.confidence));
         let attributes = match snapshot.instance() {
             Some(instance) => cut(&brief(instance.attributes.iter())),
             None => "(removed)".into(),
         };
         let (id, time) = (snapshot.id.as_str(), utc(snapshot.referenced_ns));
-        writeln!(out, "{id:<44} {:>7}  {time:<23} {confidence:>5}  {attributes}", snapshot.version)?;
+        let memory = whose(self.memory.as_deref().unwrap_or_default());
+        writeln!(out, "{memory}{id:<44} {:>7}  {time:<23} {confidence:>5}  {attributes}", snapshot.version)?;
+        self.rows += 1;
         Ok(())
+    }
+
+    /// One snapshot as JSON.
+    fn line(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), CommandFailure> {
+        let mut json = json_of(snapshot);
+        if let (Some(memory), Json::Object(fields)) = (&self.memory, &mut json) {
+            fields.insert("memory".into(), memory.as_str().into());
+        }
+        Ok(writeln!(out, "{json}")?)
     }
 
     /// Prints the number of rows.
@@ -57,9 +74,10 @@ impl Printer {
     /// One snapshot with all its data.
     pub(super) fn whole(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), CommandFailure> {
         if self.json {
-            return Ok(writeln!(out, "{}", json_of(snapshot))?);
+            return self.line(snapshot, out);
         }
-        writeln!(out, "{} version {}", snapshot.id, snapshot.version)?;
+        let whose = self.memory.as_ref().map_or_else(String::new, |memory| format!("{memory}: "));
+        writeln!(out, "{whose}{} version {}", snapshot.id, snapshot.version)?;
         writeln!(
             out,
             "    referenced {}, sent {}, arrived {}",

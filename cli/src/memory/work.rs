@@ -34,11 +34,12 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
     let mut shown = Printer::new(args.json);
     match &args.command {
         MemoryCommand::Ls(of) => {
-            let query = Query::latest(pattern(&of.pattern)?);
-            let count = reached.each(query, |s| shown.row(s, out)).await?;
+            let query = Query::latest(pattern(&of.pattern.pattern)?);
+            let memories = Memories::open(reached, args).await?;
+            let count = memories.each(&query, &mut shown, |shown, s| shown.row(s, out)).await?;
             shown.end(count, "entities", out)?;
         }
-        MemoryCommand::Get(get) => return self::get(&reached, get, &shown, out).await,
+        MemoryCommand::Get(get) => return self::get(reached, args, get, &mut shown, out).await,
         MemoryCommand::Put(put) => {
             let version = self::put(&reached, put, args).await?;
             shown.counts(&[("version".to_owned(), version)].into(), out)?;
@@ -55,7 +56,8 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
             shown.counts(&[("answered_in_us".to_owned(), took)].into(), out)?;
         }
         MemoryCommand::Query(query) => {
-            let count = reached.each(self::query(query)?, |s| shown.row(s, out)).await?;
+            let memories = Memories::open(reached, args).await?;
+            let count = memories.each(&self::query(query)?, &mut shown, |shown, s| shown.row(s, out)).await?;
             shown.end(count, "snapshots", out)?;
         }
         MemoryCommand::Export(export) => self::export(&reached, export, &shown, out).await?,
@@ -130,10 +132,50 @@ fn pattern(text: &str) -> Result<Pattern, CommandFailure> {
     Ok(Pattern { segment: part(0), provider: part(1), entity: part(2) })
 }
 
+/// The memories that a question is asked of, one after the other, by their names if there are several.
+struct Memories {
+    named: Vec<(String, OpenedMemory)>,
+}
+
+impl Memories {
+    async fn open(first: OpenedMemory, args: &MemoryArgs) -> Result<Self, CommandFailure> {
+        let file = args.store.as_ref().map(|file| file.display().to_string());
+        let mut named = vec![(file.unwrap_or_else(|| args.agent.clone()), first)];
+        for name in args.command.others() {
+            named.push((name.clone(), OpenedMemory::beside(args, name).await?));
+        }
+        Ok(Self { named })
+    }
+
+    async fn each(
+        &self,
+        query: &Query,
+        shown: &mut Printer,
+        mut act: impl FnMut(&mut Printer, &Snapshot) -> Result<(), CommandFailure>,
+    ) -> Result<u64, CommandFailure> {
+        let mut count = 0;
+        for (name, memory) in &self.named {
+            shown.memory = (self.named.len() > 1).then(|| name.clone());
+            let told = memory.each(query.clone(), |snapshot| act(shown, snapshot)).await;
+            count += told.map_err(|failure| match (failure, &shown.memory) {
+                (CommandFailure::Refused(why), Some(name)) => {
+                    CommandFailure::Refused(format!("{name}: {why}"))
+                }
+                (CommandFailure::Argument(why), Some(name)) => {
+                    CommandFailure::Argument(format!("{name}: {why}"))
+                }
+                (failure, _) => failure,
+            })?;
+        }
+        Ok(count)
+    }
+}
+
 async fn get(
-    reached: &OpenedMemory,
+    reached: OpenedMemory,
+    args: &MemoryArgs,
     get: &GetArgs,
-    shown: &Printer,
+    shown: &mut Printer,
     out: &mut dyn Write,
 ) -> Result<u8, CommandFailure> {
     let id = id(&get.id)?;
@@ -146,7 +188,8 @@ async fn get(
     let query = Query::latest(Pattern::entity(&id)).times(times);
     let mut query = if times == Times::Latest { query } else { query.with_long_term() };
     query.limit = get.limit;
-    let count = reached.each(query, |s| shown.whole(s, out)).await?;
+    let memories = Memories::open(reached, args).await?;
+    let count = memories.each(&query, shown, |shown, s| shown.whole(s, out)).await?;
     if count == 0 {
         return Err(CommandFailure::Refused(format!("there is no entity `{id}` in memory")));
     }

@@ -12,7 +12,7 @@ pub struct Origin {
     pub id: EntityId,
     /// Its version there.
     pub version: u64,
-    /// When it arrived there, ns.
+    /// When it arrived there, ns; 0 where that is not known.
     pub arrived_ns: u64,
 }
 
@@ -31,7 +31,7 @@ impl Origin {
             agent: text("agent")?.to_owned(),
             id: EntityId::new(snapshot.id.segment(), text("provider")?, snapshot.id.entity()).ok()?,
             version: number("version")?,
-            arrived_ns: number("arrived_ns")?,
+            arrived_ns: number("arrived_ns").unwrap_or(0),
         })
     }
 
