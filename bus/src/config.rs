@@ -105,6 +105,9 @@ impl SessionConfig {
             ("mode", json!(mode)),
             ("listen/endpoints", json!(listen)),
             ("connect/endpoints", json!(self.connect)),
+            // Opening waits for links only. Until it is known what others offer, they are sent everything; and waiting for that,
+            // Zenoh misses an answer that comes at once, and then waits half a second.
+            ("open/return_conditions/declares", json!(false)),
             ("scouting/multicast/enabled", json!(self.multicast)),
             ("scouting/gossip/enabled", json!(self.gossip)),
             ("transport/shared_memory/enabled", json!(self.shared_memory)),

@@ -27,6 +27,26 @@ async fn who_is_there_is_known_at_once() {
     drop(token);
 }
 
+/// Whoever opens a session can put at once, however much others offer.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_put_as_soon_as_a_session_is_open_is_heard() {
+    let far = Session::open(&SessionConfig::default()).await.unwrap();
+    let mut heard = Vec::new();
+    for channel in 0..500 {
+        let key = keys::live("alice", &format!("c{channel}")).unwrap();
+        heard.push((key.clone(), far.subscribe(key, 64).await.unwrap()));
+    }
+    let config = SessionConfig::connected_to(&far.endpoints().await);
+    for round in 0..20_u8 {
+        let near = Session::open(&config).await.unwrap();
+        for (key, heard) in heard.iter_mut().rev().step_by(50) {
+            near.put_waiting(key, "e", vec![round]).await.unwrap();
+            let message = tokio::time::timeout(REPLY_TIMEOUT, heard.next()).await;
+            assert_eq!(message.unwrap().unwrap().payload, [round], "{key}");
+        }
+    }
+}
+
 #[cfg(unix)]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_unix_socket_is_for_its_user_only() {

@@ -64,6 +64,9 @@ async fn connect(
     let socket = TcpSocket::new_v4().unwrap();
     socket.set_recv_buffer_size(1 << 16).unwrap();
     let Ok(far) = socket.connect(to).await else { return };
+    for end in [&near, &far] {
+        end.set_nodelay(true).unwrap();
+    }
     let ((from_near, to_near), (from_far, to_far)) = (near.into_split(), far.into_split());
     let mut is_cut = state.clone();
     tokio::select! {

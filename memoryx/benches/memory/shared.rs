@@ -1,6 +1,7 @@
 //! Memory over Zenoh, beside the bare session: both ends in this process, over TCP on loopback.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use armarium_bus::{Key, Payload, Session, SessionConfig, Subscription, decode, encode, keys};
@@ -11,6 +12,7 @@ use armarium_memoryx::{
 };
 use tokio::task::JoinSet;
 
+use super::proxy::counting_proxy;
 use super::{Meter, at_most, commit, id, median, say};
 
 /// Queries and messages whose latency is measured.
@@ -33,6 +35,30 @@ pub(super) async fn shared() {
     latencies(&memory, &remote, &mut bare).await;
     bare.rate().await;
     rates(&memory, &remote).await;
+    connecting(&far, &memory).await;
+}
+
+/// Measures a program that opens its session, connects, reads one small entity beside 2 000 large ones, and ends.
+async fn connecting(far: &Session, memory: &WorkingMemory) {
+    memory
+        .commit_now((0..2000).map(|n| commit(n, 20_000)).chain([commit(2000, 100)]).collect())
+        .expect("it fits");
+    let (endpoint, bytes) = counting_proxy(&far.endpoints().await[0]).await;
+    let (mut times, mut most) = (Vec::new(), 0);
+    for _ in 0..50 {
+        let before = bytes[1].load(Ordering::Relaxed);
+        let start = Meter::start();
+        let near = Session::open(&SessionConfig::connected_to(std::slice::from_ref(&endpoint))).await;
+        let near = near.expect("a session");
+        let remote = RemoteMemory::connect(&near, "alice").await.expect("it answers");
+        remote.latest(&id(2000)).await.expect("it is there");
+        times.push(start.elapsed());
+        most = most.max(bytes[1].load(Ordering::Relaxed) - before);
+    }
+    let worst_ms = times.iter().max().map_or(0.0, |worst| worst.as_secs_f64() * 1e3);
+    say("session, connection and one entity beside 2000 of 20 kB, median", median(times) * 1e-3, "ms", "");
+    at_most("  the slowest of 50", worst_ms, "ms", 30.0);
+    at_most("  the most that was received", most as f64, "bytes", 10_000.0);
 }
 
 /// Measures updates per second, in each direction.
