@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use armarium_values::Value;
-use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Values by name, ordered by name. Serialised as a map.
@@ -89,25 +88,7 @@ impl Serialize for Attributes {
 
 impl<'de> Deserialize<'de> for Attributes {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Map;
-
-        impl<'de> Visitor<'de> for Map {
-            type Value = Attributes;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a map of attributes")
-            }
-
-            fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Attributes, A::Error> {
-                let mut pairs = Vec::new();
-                while let Some((name, value)) = entries.next_entry::<String, Value>()? {
-                    pairs.push((name.into_boxed_str(), value));
-                }
-                Ok(Attributes::from_pairs(pairs))
-            }
-        }
-
-        deserializer.deserialize_map(Map)
+        Ok(BTreeMap::<String, Value>::deserialize(deserializer)?.into())
     }
 }
 

@@ -12,7 +12,6 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use armarium_values::{Reference, Value};
-use serde::de::Visitor;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::attributes::Attributes;
@@ -171,21 +170,7 @@ impl Serialize for EntityId {
 
 impl<'de> Deserialize<'de> for EntityId {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Path;
-
-        impl Visitor<'_> for Path {
-            type Value = EntityId;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an address, `segment/provider/entity`")
-            }
-
-            fn visit_str<E: serde::de::Error>(self, path: &str) -> Result<EntityId, E> {
-                path.parse().map_err(E::custom)
-            }
-        }
-
-        deserializer.deserialize_str(Path)
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
     }
 }
 

@@ -62,7 +62,7 @@ pub(super) fn by_age() {
 
 /// 10 000 names a minute come and go for a day, through working memory.
 pub(super) fn names() {
-    let (megabytes, each, minutes) = (200, 10_000, 24 * 60);
+    let (megabytes, each, minutes) = (100, 10_000, 24 * 60);
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("names.redb");
     let store = Arc::new(LongTermMemory::open(&file).expect("a file"));

@@ -99,8 +99,8 @@ use write::Totals;
 const FORMAT: u64 = 3;
 /// The earlier format, which lacks the tables `ages`, `kept`, `removed` and `given`.
 const EARLIER_FORMAT: u64 = 2;
-/// redb's cache, bytes.
-const CACHE_BYTES: usize = 32 << 20;
+/// redb's cache, bytes. A process has two of them while it compacts the file.
+const CACHE_BYTES: usize = 10 << 20;
 const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
 const ENTITIES: TableDefinition<'_, &[u8], (u64, bool)> = TableDefinition::new("entities");
 const INDEX: TableDefinition<'_, (u64, u64), RecordPlace> = TableDefinition::new("index");
