@@ -120,13 +120,12 @@ impl Session {
         let publisher = publisher.encoding(Encoding::from(encoding)).express(true).priority(PRIORITY);
         let publisher = publisher.congestion_control(CongestionControl::Drop).await.map_err(failed)?;
         let (tell, wanted) = watch::channel(false);
-        let told = tell.clone();
         let listener = publisher.matching_listener();
+        // It is called at once if somebody subscribes already, and then at each change.
         let listener = listener.callback(move |status| {
-            told.send_replace(status.matching());
+            tell.send_replace(status.matching());
         });
         let listener = listener.await.map_err(failed)?;
-        tell.send_replace(publisher.matching_status().await.map_err(failed)?.matching());
         let (pools, unshared) = (Mutex::new(VecDeque::new()), AtomicU64::new(0));
         Ok(BulkSender { publisher, pools, unshared, wanted, session: self.clone(), _listener: listener })
     }

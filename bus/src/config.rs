@@ -105,8 +105,9 @@ impl SessionConfig {
             ("mode", json!(mode)),
             ("listen/endpoints", json!(listen)),
             ("connect/endpoints", json!(self.connect)),
-            // Opening waits for links only. Until it is known what others offer, they are sent everything; and waiting for that,
-            // Zenoh misses an answer that comes at once, and then waits half a second.
+            // Opening waits for links, and not for what the others declare: until that is known, everything is sent to them. Where
+            // their declarations come at once, Zenoh may miss that they have come, and would wait for its whole delay of 0.5 s.
+            // A test puts and asks at once; `cargo bench -p armarium-memoryx -- shared` shows how long opening takes.
             ("open/return_conditions/declares", json!(false)),
             ("scouting/multicast/enabled", json!(self.multicast)),
             ("scouting/gossip/enabled", json!(self.gossip)),

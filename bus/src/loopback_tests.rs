@@ -27,18 +27,29 @@ async fn who_is_there_is_known_at_once() {
     drop(token);
 }
 
-/// Whoever opens a session can put at once, however much others offer.
+/// Whoever opens a session can put and ask at once, however much others offer.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_put_as_soon_as_a_session_is_open_is_heard() {
+async fn what_is_put_and_asked_as_soon_as_a_session_is_open_is_heard() {
     let far = Session::open(&SessionConfig::default()).await.unwrap();
     let mut heard = Vec::new();
     for channel in 0..500 {
         let key = keys::live("alice", &format!("c{channel}")).unwrap();
         heard.push((key.clone(), far.subscribe(key, 64).await.unwrap()));
     }
-    let config = SessionConfig::connected_to(&far.endpoints().await);
+    let other = Session::open(&SessionConfig::default()).await.unwrap();
+    let asked = keys::chart("bob", "bench").unwrap();
+    let mut questions = other.declare_queryable(asked.clone(), 64).await.unwrap();
+    let reply = asked.clone();
+    tokio::spawn(async move {
+        while let Some(question) = questions.next().await {
+            question.reply(&reply, "e", vec![7]).await.unwrap();
+        }
+    });
+    let endpoints = [far.endpoints().await, other.endpoints().await].concat();
+    let config = SessionConfig::connected_to(&endpoints);
     for round in 0..20_u8 {
         let near = Session::open(&config).await.unwrap();
+        assert!(matches!(near.query_one(&asked, "", None).await, Ok(Reply::Message(_))));
         for (key, heard) in heard.iter_mut().rev().step_by(50) {
             near.put_waiting(key, "e", vec![round]).await.unwrap();
             let message = tokio::time::timeout(REPLY_TIMEOUT, heard.next()).await;

@@ -235,10 +235,9 @@ impl Session {
         let there = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&there);
         let listener = publisher.matching_listener();
+        // It is called at once if somebody does already, and then at each change.
         let listener = listener.callback(move |status| told.store(status.matching(), Ordering::Relaxed));
         let listener = listener.await.map_err(failed)?;
-        let status = publisher.matching_status().await.map_err(failed)?;
-        there.store(status.matching(), Ordering::Relaxed);
         Ok(Interest { there, _listener: listener, _publisher: publisher })
     }
 

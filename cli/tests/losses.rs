@@ -324,18 +324,19 @@ impl Lab {
     fn moving(&self) -> (Child, Box<dyn Iterator<Item = String>>) {
         let mut ended = Vec::new();
         // On a busy machine a command may be late, which ends a run; the arm stands where that was, and the next goes on from there.
-        for _ in 0..60 {
+        for attempt in 1..=60 {
             let mut program = run(self.folder.path(), LONG, &self.to_guard);
             let mut running = program.stdout(Stdio::null()).spawn().expect("it starts");
-            let mut said = Box::new(lines(running.stderr.take().expect("it is piped")));
+            let said = Box::new(lines(running.stderr.take().expect("it is piped")));
             while running.try_wait().expect("it can be asked").is_none() {
                 let Shown { fastest, force, .. } = self.arm.now();
                 if fastest > MOVING.0 && force > MOVING.1 {
+                    println!("at speed in attempt {attempt}");
                     return (running, said);
                 }
                 pause(Duration::from_millis(1));
             }
-            ended.extend(said.by_ref());
+            ended.extend(said);
         }
         panic!("the arm cannot be brought to speed: {:?} {ended:#?}", self.arm.now());
     }

@@ -270,6 +270,12 @@ fn who_is_followed_is_up_to_date_soon() {
 fn several_memories_are_read_side_by_side() {
     let folder = folder();
     file(folder.path(), 1);
+    let nameless = json!({
+        "id": "ObjectInstances/p/cup", "version": 1, "referenced_ns": 5, "arrived_ns": 5, "instances": [{}],
+    });
+    std::fs::write(folder.path().join("nameless.jsonl"), format!("{nameless}\n")).expect("it can be written");
+    let refused = memory(folder.path(), &["--store", "m.redb", "import", "nameless.jsonl"]);
+    assert!(text(&refused.stderr).contains("`class` is missing"), "{refused:?}");
     std::fs::rename(folder.path().join("m.redb"), folder.path().join("run.redb")).expect("it is closed");
     std::fs::write(folder.path().join("none.jsonl"), "").expect("it can be written");
     printed(&memory(folder.path(), &["--store", "robot.redb", "import", "none.jsonl"]));
@@ -291,13 +297,30 @@ fn several_memories_are_read_side_by_side() {
     let of_agent = agent.ask(&["get", "Things/p/e0", "--beside", "run.redb"]);
     assert_eq!(rows(&printed(&of_agent)).len(), 2);
 
-    // A run's time says nothing of a robot's memory.
-    let asked = of_run(&["query", "Things", "--at", "7"]);
+    // A run's time says nothing of the others' memories, and theirs nothing of the run's: who can answer does.
+    let asked = of_run(&["query", "Things", "--at", "7", "--json"]);
     let said = text(&asked.stderr);
-    assert!(said.contains("robot.redb: ") && said.contains("it asks by a run's time"), "{said}");
-    for (other, wrong) in [("absent.redb", "there is no file `absent.redb`"), ("bob", "`bob`")] {
-        let refused = agent.ask(&["ls", "--beside", other]);
-        let said = text(&refused.stderr);
-        assert!(!refused.status.success() && said.contains(wrong), "{said}");
+    assert_eq!((asked.status.code(), rows(&text(&asked.stdout)).len()), (Some(1), 1), "{said}");
+    for other in ["robot.redb", "alice"] {
+        assert!(
+            said.contains(&format!("{other}: the query cannot be answered: it asks by a run's time")),
+            "{said}"
+        );
     }
+    let second = Served::start(folder.path(), "bob", &["--connect", &agent.endpoint]);
+    second.put("Things/p/e0", &[]);
+    let with_bob = agent.ask_beside(&second, &["ls", "--beside", "bob", "--listen", "tcp/127.0.0.1:0"]);
+    assert_eq!(rows(&printed(&with_bob)).len(), 2);
+    for (args, wrong) in [
+        (["ls", "--beside", "absent.redb"], "there is no file `absent.redb`"),
+        (["ls", "--beside", "carol"], "`carol`"),
+        (["ls", "--beside", "alice"], "--beside alice: it is asked already"),
+    ] {
+        let said = text(&agent.ask(&args).stderr);
+        assert!(said.contains(wrong), "{said}");
+    }
+    let twice = memory(folder.path(), &["--store", "run.redb", "ls", "--beside", "./run.redb"]);
+    assert!(text(&twice.stderr).contains("it is asked already"), "{twice:?}");
+    let idle = memory(folder.path(), &["--store", "run.redb", "ls", "--beside", "robot.redb", "--as", "me"]);
+    assert!(text(&idle.stderr).contains("leave one of them out"), "{idle:?}");
 }

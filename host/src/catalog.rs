@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_memoryx::{Memory, WorkingMemory, tokio_clock};
+use armarium_memoryx::{Memory, tokio_clock};
 use armarium_runtime::chart::{self, ChannelSchema, Checked, Registry};
 use armarium_runtime::program::Program;
 use armarium_runtime::remote::Agents;
@@ -57,7 +57,7 @@ fn registry_in(world: &World) -> Result<Registry, HostError> {
         images: simulation.images(),
         workers: Workers::Joined,
         hands: HandDetection::default(),
-        memory: Arc::new(WorkingMemory::new(tokio_clock())) as Arc<dyn Memory>,
+        memory: Arc::new(armarium_knowledge::working_memory(tokio_clock())) as Arc<dyn Memory>,
         agent: "local".into(),
         seed: 0,
         transforms: Arc::default(),

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_knowledge::WORLD;
+use armarium_knowledge::{Origin, WORLD};
 use armarium_memoryx::{Change, Follower, Memory, Pattern, Snapshot, place_of};
 use armarium_simulator::referee::TruthLog;
 use armarium_simulator::{Handle, World};
@@ -139,11 +139,7 @@ impl<'d> Knowledge<'d> {
             at_s: entry.at_s,
             seen_s: snapshot.referenced_ns as f64 * 1e-9,
             id: snapshot.id.as_str(),
-            origin: snapshot
-                .attribute("origin")
-                .and_then(|o| o.get("agent"))
-                .and_then(Value::as_str)
-                .unwrap_or(&entry.agent),
+            origin: Origin::agent_of(snapshot).unwrap_or(&entry.agent),
             says,
             place,
             confidence: snapshot.instance().map_or(0.0, |instance| instance.confidence),

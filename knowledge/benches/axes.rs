@@ -10,7 +10,7 @@ use armarium_knowledge::UsualPlaces;
 use armarium_knowledge::infer::{USUAL_PLACES, conclude_once};
 use armarium_memoryx::{
     Commit, Consolidator, EntityId, LongTermMemory, Memory, MemoryLimits, Pattern, Policies, Policy, Query,
-    Times, WorkingMemory, distance, place_of,
+    Times, distance, place_of,
 };
 use armarium_values::{Frame, Value, Vector};
 use rand::{RngExt, SeedableRng};
@@ -57,7 +57,7 @@ fn by_policy(name: &str, policy: Policy) {
     let folder = tempfile::tempdir().expect("a folder");
     let store = Arc::new(LongTermMemory::open(&folder.path().join("axes.redb")).expect("a file"));
     let kept = Consolidator::new(Arc::clone(&store), Policies::all(policy)).expect("it can be read");
-    let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(kept));
+    let memory = armarium_knowledge::working_memory(Arc::new(|| 0)).with_backing(Arc::new(kept));
     let (frames, step_ns) = (HZ * SECONDS, 1_000_000_000 / HZ);
     let start = Meter::start();
     for frame in 0..frames {
@@ -95,7 +95,7 @@ fn by_policy(name: &str, policy: Policy) {
 
 /// Guesses the most probable place each day, before the cup is looked for.
 async fn prediction() {
-    let memory = WorkingMemory::new(Arc::new(|| 0))
+    let memory = armarium_knowledge::working_memory(Arc::new(|| 0))
         .with_limits(MemoryLimits { history: 10_000, ..MemoryLimits::default() });
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let (mut guessed, mut surprise, mut days) = (0, 0.0, 0);

@@ -16,7 +16,7 @@ use armarium_memoryx::{
 use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
-use crate::core_segments::core_segments;
+use crate::core_segments::working_memory;
 use crate::infer::{Inference, RunningInference};
 use crate::prior::PriorKnowledge;
 use crate::share::{FollowedAgent, Followee, FollowingAgent};
@@ -139,8 +139,7 @@ impl AgentMemory {
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
     pub fn open(config: MemoryConfig, clock: Clock) -> Result<Self, MemoryError> {
-        let mut memory =
-            WorkingMemory::new(Arc::clone(&clock)).with_segments(core_segments()).with_limits(config.limits);
+        let mut memory = working_memory(Arc::clone(&clock)).with_limits(config.limits);
         let mut kept = None;
         if let Some(file) = &config.store {
             let open = if config.shared { LongTermMemory::open_shared } else { LongTermMemory::open };
@@ -337,6 +336,15 @@ mod tests {
             assert!(version > last && (version == last + 1 || !id.starts_with("Kept")), "{id} has {version}");
         }
         assert_eq!(commit(&agent, "Rated/p/new", None), Ok(vec![1]), "a new name begins at 1");
+    }
+
+    #[test]
+    fn its_core_segments_are_checked() {
+        let agent = AgentMemory::open(MemoryConfig::new("a"), Arc::new(|| 1)).unwrap();
+        let nameless = Commit::new("ObjectInstances/p/cup".parse().unwrap(), 1, []);
+        let refused = agent.memory().commit_now(vec![nameless]);
+        let is_class = |attribute: &str| attribute == "class";
+        assert!(matches!(refused, Err(MemoryError::Schema { attribute, .. }) if is_class(&attribute)));
     }
 
     #[tokio::test(start_paused = true)]

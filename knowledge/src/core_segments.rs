@@ -1,7 +1,12 @@
 //! The core segments of an agent's memory: which things it knows of, by which attributes. `memoryx` checks them, and knows none.
 
-use armarium_memoryx::SegmentSchema;
+use armarium_memoryx::{Clock, SegmentSchema, WorkingMemory};
 use armarium_values::{Type, Unit};
+
+/// An empty working memory that checks these core segments.
+pub fn working_memory(clock: Clock) -> WorkingMemory {
+    WorkingMemory::new(clock).with_segments(core_segments())
+}
 
 /// The core segments that every agent's memory has, with the attributes that are checked.
 pub fn core_segments() -> Vec<SegmentSchema> {

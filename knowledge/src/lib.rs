@@ -3,7 +3,7 @@
 //!
 //! - [`AgentMemory`]: all parts of an agent's memory, put together; it follows other agents, whose knowledge it has in its
 //!   own frame.
-//! - [`core_segments`]: of which things it knows what.
+//! - [`core_segments`]: the core segments of its memory, with the attributes that are checked.
 //! - [`PriorKnowledge`]: object classes and scenes, known before anything is seen.
 //! - [`updater`]: turns observations into entities: matching, fusion, motion models.
 //! - [`Inference`]: conclusions from memory, with confidence and provenance.
@@ -18,7 +18,7 @@ mod share;
 pub mod updater;
 
 pub use agent::{AgentMemory, MemoryConfig, Restored, ServedMemory};
-pub use core_segments::core_segments;
+pub use core_segments::{core_segments, working_memory};
 pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use share::{FOLLOWING, FollowedAgent, Followee, Following, Origin, WORLD, agent_pose_update};

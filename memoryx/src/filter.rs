@@ -115,7 +115,10 @@ impl Filter {
             MemoryError::Query { what: format!("the filter `{short}`: {what}") }
         };
         let names = Names(RefCell::default());
-        let expression = Expr::compile(source, &names).map_err(|e| wrong(e.message))?;
+        let expression = Expr::compile(source, &names).map_err(|error| {
+            let help = error.help.map_or_else(String::new, |help| format!(" ({help})"));
+            wrong(error.message + &help)
+        })?;
         if !matches!(expression.ty(), Type::Bool | Type::Any) {
             return Err(wrong(format!("is a {}, where true or false is wanted", expression.ty())));
         }

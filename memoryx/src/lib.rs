@@ -7,7 +7,7 @@
 //! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] has the messages).
 //! - [`LongTermMemory`]: storage on disk; [`Consolidator`] decides what is stored.
 //!
-//! Of things this room knows only where they are: no core segment, no object class, no robot, no image.
+//! Of things this room knows only where they are, the name of their class, and when they expire: no core segment, no robot, no image.
 
 mod attributes;
 mod awaited_thread;

@@ -14,7 +14,7 @@ use armarium_memoryx::{
     Change, Commit, Follower, LongTermMemory, Memory, MemoryError, MemoryServer, Pattern, RemoteMemory,
     ServerOptions, WorkingMemory,
 };
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 /// A commit of `Things/p/cup` with `value: 7`, as it was recorded.
@@ -116,6 +116,16 @@ enum Value {
     Int(i64),
 }
 
+/// What tomorrow's program asks, with `null` for what it leaves out.
+#[derive(Serialize)]
+struct Asked {
+    times: &'static str,
+    sorted_by: &'static str,
+    pattern: Option<u8>,
+    removed: Option<u8>,
+    parts: Option<u8>,
+}
+
 fn bytes(hex: &str) -> Vec<u8> {
     let digits = hex.as_bytes().chunks(2).map(|two| std::str::from_utf8(two).unwrap());
     digits.map(|two| u8::from_str_radix(two, 16).unwrap()).collect()
@@ -187,12 +197,12 @@ async fn it_is_understood_and_understands() {
     // An update and a query with fields that this program does not know, and without those that may be left out.
     let instance = json!({"attributes": {"value": {"int": 8}}, "origin": ["door"]});
     let update = json!({
-        "id": "Things/p/plate", "referenced_ns": 7, "referenced_clock": "run", "instances": [instance],
+        "id": "Things/p/plate", "referenced_ns": 7, "referenced_clock": "run", "instances": [instance, {}],
     });
     let commit = json!({"updates": [update], "priority": 3});
     let (_, payload) = ask(&near, "commit;v1", encode(&commit).unwrap()).await;
     assert_eq!(decode::<Versions>(&payload).unwrap().0, [1]);
-    let query = json!({"times": "latest", "sorted_by": "size"});
+    let query = Asked { times: "latest", sorted_by: "size", pattern: None, removed: None, parts: None };
     let (_, payload) = ask(&near, "query;v1", encode(&query).unwrap()).await;
     let snapshots = decode::<Snapshots>(&payload).unwrap().snapshots;
     assert_eq!(snapshots.len(), 3);

@@ -113,6 +113,8 @@ def _config(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
     config.insert_json5("listen/endpoints", json.dumps(list(listen)))
     config.insert_json5("connect/endpoints", json.dumps(list(connect)))
     config.insert_json5("scouting/multicast/enabled", "false")
+    # Until it is known what others declare, everything is sent to them; Zenoh may wait half a second for that in vain.
+    config.insert_json5("open/return_conditions/declares", "false")
     return config
 
 

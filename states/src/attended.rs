@@ -306,7 +306,8 @@ mod tests {
 
     #[tokio::test]
     async fn what_is_not_seen_becomes_uncertain_and_what_a_hand_holds_does_not_count() {
-        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let (memory, transforms) =
+            (armarium_knowledge::working_memory(tokio_clock()), RwLock::new(Transforms::new()));
         let remembered = Remembered { memory: &memory, transforms: &transforms };
         let mut attended = AttendedPlaces::default();
         cup(&memory, 10, 0.2).await;
@@ -337,7 +338,8 @@ mod tests {
 
     #[tokio::test]
     async fn what_moves_again_and_again_becomes_uncertain_sooner_than_what_stands() {
-        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let (memory, transforms) =
+            (armarium_knowledge::working_memory(tokio_clock()), RwLock::new(Transforms::new()));
         let remembered = Remembered { memory: &memory, transforms: &transforms };
         let mut attended = AttendedPlaces::default();
         let mut gained = BTreeMap::new();
@@ -358,7 +360,8 @@ mod tests {
 
     #[tokio::test]
     async fn what_moves_and_people_are_stimuli_for_a_while() {
-        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let (memory, transforms) =
+            (armarium_knowledge::working_memory(tokio_clock()), RwLock::new(Transforms::new()));
         let remembered = Remembered { memory: &memory, transforms: &transforms };
         let mut attended = AttendedPlaces::default();
         let mut names = async |now_s: u64| -> Vec<String> {
@@ -382,7 +385,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_place_is_named_by_the_state_that_needs_it() {
-        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let (memory, transforms) =
+            (armarium_knowledge::working_memory(tokio_clock()), RwLock::new(Transforms::new()));
         let remembered = Remembered { memory: &memory, transforms: &transforms };
         let needs = [need(pose(0.4)), need(Value::Null)];
         let places = AttendedPlaces::default().watched(&needs, remembered, SECOND).await.unwrap();

@@ -131,7 +131,7 @@ fn address(agent: &str) -> Result<EntityId, Failure> {
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{WorkingMemory, tokio_clock};
+    use armarium_memoryx::tokio_clock;
     use armarium_visionx::{PinholeCamera, RgbImage};
     use nalgebra::Vector3;
 
@@ -159,7 +159,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_mounting_that_is_found_twice_is_that_of_both_findings() {
-        let memory: Arc<dyn Memory> = Arc::new(WorkingMemory::new(tokio_clock()));
+        let memory: Arc<dyn Memory> = Arc::new(armarium_knowledge::working_memory(tokio_clock()));
         let turned = |axis: Vector3<f64>, x: f64| {
             Isometry3::from_parts(Vector3::new(x, 0.02, 0.0).into(), UnitQuaternion::from_scaled_axis(axis))
         };

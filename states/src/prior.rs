@@ -27,13 +27,13 @@ pub(crate) async fn class_of(memory: &dyn Memory, object: &Snapshot) -> Result<O
 #[cfg(test)]
 mod tests {
     use armarium_knowledge::PriorKnowledge;
-    use armarium_memoryx::{Commit, EntityId, WorkingMemory, tokio_clock};
+    use armarium_memoryx::{Commit, EntityId, tokio_clock};
 
     use super::*;
 
     #[tokio::test(start_paused = true)]
     async fn an_object_is_of_its_class_whatever_its_name_is() {
-        let memory = WorkingMemory::new(tokio_clock());
+        let memory = armarium_knowledge::working_memory(tokio_clock());
         let mut prior = PriorKnowledge::new();
         prior.add(ObjectClass::new("sponge", [250, 200, 20], [0.1, 0.06, 0.03])).unwrap();
         prior.put_into(&memory).unwrap();

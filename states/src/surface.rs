@@ -124,7 +124,7 @@ fn top_under(place: &KnownBox, point: &Point3<f64>) -> Option<ContactPlane> {
 
 #[cfg(test)]
 mod tests {
-    use armarium_memoryx::{Commit, EntityId, Instance, Memory as _, Snapshot, WorkingMemory, tokio_clock};
+    use armarium_memoryx::{Commit, EntityId, Instance, Memory as _, Snapshot, tokio_clock};
     use armarium_values::transforms::Transforms;
     use armarium_values::{Frame, Observation, Pose, Value};
     use parking_lot::RwLock;
@@ -146,7 +146,8 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn memory_says_what_a_thing_stands_on() {
-        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(Transforms::new()));
+        let (memory, transforms) =
+            (armarium_knowledge::working_memory(tokio_clock()), RwLock::new(Transforms::new()));
         let remembered = Remembered { memory: &memory, transforms: &transforms };
         let point = Point3::new(0.3, 0.5, 0.93);
         let known = ContactPlane::under(remembered, &point).await.unwrap();

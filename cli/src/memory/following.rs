@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     fn memory() -> WorkingMemory {
-        WorkingMemory::new(Arc::new(|| 1_000_000_000))
+        armarium_knowledge::working_memory(Arc::new(|| 1_000_000_000))
     }
 
     fn put<const N: usize>(memory: &WorkingMemory, id: &str, attributes: [(&str, Value); N]) {

@@ -53,11 +53,12 @@ pub(crate) struct MemoryArgs {
 impl MemoryArgs {
     /// Checks that no option needs a running agent, when a file is named.
     fn only_a_file(&self) -> Result<(), CommandFailure> {
+        let asks_agent = self.command.others().iter().any(|name| reach::file_named(name).is_none());
         let wrong = if matches!(&self.command, MemoryCommand::Watch(watch) if watch.last == 0) {
             "a file that no agent has open does not change: --last N shows what changed last"
-        } else if self.agent != LOCAL || self.writer.is_some() {
+        } else if self.agent != LOCAL || (self.writer.is_some() && !asks_agent) {
             "--agent and --as name an agent, --store a file that no agent has open: leave one of them out"
-        } else if !self.connection.connect.is_empty() && self.command.others().is_empty() {
+        } else if !self.connection.connect.is_empty() && !asks_agent {
             "--connect reaches an agent, --store opens a file that none has open: leave one of them out"
         } else {
             return Ok(());
@@ -192,7 +193,8 @@ struct PatternArg {
 /// Other memories that answer the same question.
 #[derive(Clone, Debug, Args)]
 struct BesideArgs {
-    /// Ask another memory, too, a running agent's or a file's, and say of each row whose it is. May be given several times.
+    /// Ask another memory, too, a running agent's or a file's (a name with `/` or `.redb` at its end), and say of each row whose it
+    /// is. May be given several times.
     #[arg(long, value_name = "AGENT|FILE")]
     beside: Vec<String>,
 }
@@ -294,7 +296,7 @@ struct QueryArgs {
     /// The nearest to this point, m.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     near: Option<String>,
-    /// How many of the nearest.
+    /// How many of the nearest, in each memory.
     #[arg(long, default_value_t = 10, requires = "near", conflicts_with = "radius")]
     count: usize,
     /// All within this distance of the point, m, instead of the nearest.
@@ -309,7 +311,7 @@ struct QueryArgs {
     /// At most N of each entity, the newest.
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// At most N in all.
+    /// At most N in all, of each memory.
     #[arg(long, value_name = "N")]
     most: Option<usize>,
 }
@@ -412,7 +414,7 @@ impl From<armarium_memoryx::StoreError> for CommandFailure {
     fn from(error: armarium_memoryx::StoreError) -> Self {
         match &error {
             armarium_memoryx::StoreError::Locked { .. } => Self::Refused(format!(
-                "{error}: ask the agent that has it open, with --agent instead of --store"
+                "{error}; or ask the agent that has it open, with --agent instead of --store"
             )),
             _ => Self::Refused(error.to_string()),
         }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_bus::Session;
-use armarium_knowledge::{AgentMemory, MemoryConfig, core_segments};
+use armarium_knowledge::{AgentMemory, MemoryConfig, working_memory};
 use armarium_memoryx::wire::{Maintain, MaintenanceReport};
 use armarium_memoryx::{
     Backing, Clock, EntityId, LongTermMemory, Memory, MemoryError, MemoryLimits, Query, RemoteMemory,
@@ -44,25 +44,35 @@ impl OpenedMemory {
             let clock: Clock = Arc::new(wall_clock_ns);
             return if args.command.needs_working_memory() { held(file, clock) } else { stored(file, clock) };
         }
-        Self::of_agent(args, &args.agent).await
+        Self::of_agent(args, &args.agent, None).await
     }
 
-    /// Opens another memory to be read, too: a file's, or a running agent's.
-    pub(super) async fn beside(args: &MemoryArgs, name: &str) -> Result<Self, CommandFailure> {
-        let file = Path::new(name);
-        if file.is_file() || name.contains('/') || name.ends_with(".redb") {
+    /// Opens another memory to be read, too: a file's, or a running agent's, on this session if there is one.
+    pub(super) async fn beside(
+        args: &MemoryArgs,
+        name: &str,
+        session: Option<Session>,
+    ) -> Result<Self, CommandFailure> {
+        if let Some(file) = file_named(name) {
             check_file(file)?;
             return stored(file, Arc::new(wall_clock_ns));
         }
-        Self::of_agent(args, name).await
+        Self::of_agent(args, name, session).await
     }
 
-    async fn of_agent(args: &MemoryArgs, agent: &str) -> Result<Self, CommandFailure> {
+    async fn of_agent(
+        args: &MemoryArgs,
+        agent: &str,
+        session: Option<Session>,
+    ) -> Result<Self, CommandFailure> {
         let mut connection = args.connection.clone();
         if connection.connect.is_empty() {
             connection.connect = vec![USUAL_ENDPOINT.into()];
         }
-        let session = connection.session(None).await?;
+        let session = match session {
+            Some(session) => session,
+            None => connection.session(None).await?,
+        };
         let remote = match &args.writer {
             Some(writer) => RemoteMemory::connect_as(&session, agent, writer).await,
             None => RemoteMemory::connect(&session, agent).await,
@@ -148,6 +158,11 @@ impl OpenedMemory {
     }
 }
 
+/// The file that a name beside others means; other names are agents'.
+pub(super) fn file_named(name: &str) -> Option<&Path> {
+    (name.contains('/') || name.ends_with(".redb")).then(|| Path::new(name))
+}
+
 fn check_file(file: &Path) -> Result<(), CommandFailure> {
     let absent = || CommandFailure::Argument(format!("there is no file `{}`", file.display()));
     if file.exists() { Ok(()) } else { Err(absent()) }
@@ -165,9 +180,7 @@ fn held(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {
 
 fn stored(file: &Path, clock: Clock) -> Result<OpenedMemory, CommandFailure> {
     let store = Arc::new(LongTermMemory::open(file)?);
-    let memory = WorkingMemory::new(clock)
-        .with_segments(core_segments())
-        .with_backing(Arc::clone(&store) as Arc<dyn Backing>);
+    let memory = working_memory(clock).with_backing(Arc::clone(&store) as Arc<dyn Backing>);
     Ok(OpenedMemory::Store { store, memory })
 }
 

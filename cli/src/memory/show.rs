@@ -19,8 +19,8 @@ const MAX_WIDTH: usize = 72;
 pub(super) struct Printer {
     json: bool,
     rows: u64,
-    /// Whose snapshots these are, where several memories are asked.
-    pub(super) memory: Option<String>,
+    /// Whose snapshots these are, where several memories are asked, and the width of the longest of these names.
+    pub(super) memory: Option<(String, usize)>,
 }
 
 impl Printer {
@@ -33,7 +33,10 @@ impl Printer {
         if self.json {
             return self.line(snapshot, out);
         }
-        let whose = |text: &str| self.memory.as_ref().map_or_else(String::new, |_| format!("{text:<20} "));
+        let memory = self.memory.as_ref();
+        let whose = |text: &str| {
+            memory.map_or_else(String::new, |(_, width)| format!("{text:<w$} ", w = (*width).max(6)))
+        };
         if self.rows == 0 {
             writeln!(
                 out,
@@ -51,7 +54,7 @@ impl Printer {
             None => "(removed)".into(),
         };
         let (id, time) = (snapshot.id.as_str(), utc(snapshot.referenced_ns));
-        let memory = whose(self.memory.as_deref().unwrap_or_default());
+        let memory = whose(memory.map_or("", |(name, _)| name));
         writeln!(out, "{memory}{id:<44} {:>7}  {time:<23} {confidence:>5}  {attributes}", snapshot.version)?;
         self.rows += 1;
         Ok(())
@@ -60,7 +63,7 @@ impl Printer {
     /// One snapshot as JSON.
     fn line(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), CommandFailure> {
         let mut json = json_of(snapshot);
-        if let (Some(memory), Json::Object(fields)) = (&self.memory, &mut json) {
+        if let (Some((memory, _)), Json::Object(fields)) = (&self.memory, &mut json) {
             fields.insert("memory".into(), memory.as_str().into());
         }
         Ok(writeln!(out, "{json}")?)
@@ -76,7 +79,7 @@ impl Printer {
         if self.json {
             return self.line(snapshot, out);
         }
-        let whose = self.memory.as_ref().map_or_else(String::new, |memory| format!("{memory}: "));
+        let whose = self.memory.as_ref().map_or_else(String::new, |(memory, _)| format!("{memory}: "));
         writeln!(out, "{whose}{} version {}", snapshot.id, snapshot.version)?;
         writeln!(
             out,

@@ -14,7 +14,7 @@ use armarium_memoryx::{
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
-use super::reach::{OpenedMemory, id, unusable};
+use super::reach::{OpenedMemory, file_named, id, unusable};
 use super::recording;
 use super::show::Printer;
 use super::{
@@ -142,32 +142,41 @@ impl Memories {
         let file = args.store.as_ref().map(|file| file.display().to_string());
         let mut named = vec![(file.unwrap_or_else(|| args.agent.clone()), first)];
         for name in args.command.others() {
-            named.push((name.clone(), OpenedMemory::beside(args, name).await?));
+            let is_same = |other: &str| match [name, other].map(file_named) {
+                [Some(one), Some(other)] => one.canonicalize().ok() == other.canonicalize().ok(),
+                _ => name == other,
+            };
+            if named.iter().any(|(other, _)| is_same(other)) {
+                return Err(CommandFailure::Argument(format!("--beside {name}: it is asked already")));
+            }
+            let session = named.iter().find_map(|(_, memory)| Some(memory.agent().ok()?.1.clone()));
+            named.push((name.clone(), OpenedMemory::beside(args, name, session).await?));
         }
         Ok(Self { named })
     }
 
+    /// Asks all of them. Where there are several, one that refuses does not keep the others from answering; the last refusal is returned.
     async fn each(
         &self,
         query: &Query,
         shown: &mut Printer,
         mut act: impl FnMut(&mut Printer, &Snapshot) -> Result<(), CommandFailure>,
     ) -> Result<u64, CommandFailure> {
-        let mut count = 0;
+        let (mut count, mut refused) = (0, Vec::new());
+        let width = self.named.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
         for (name, memory) in &self.named {
-            shown.memory = (self.named.len() > 1).then(|| name.clone());
-            let told = memory.each(query.clone(), |snapshot| act(shown, snapshot)).await;
-            count += told.map_err(|failure| match (failure, &shown.memory) {
-                (CommandFailure::Refused(why), Some(name)) => {
-                    CommandFailure::Refused(format!("{name}: {why}"))
+            shown.memory = (self.named.len() > 1).then(|| (name.clone(), width));
+            match memory.each(query.clone(), |snapshot| act(shown, snapshot)).await {
+                Ok(told) => count += told,
+                Err(CommandFailure::Refused(why) | CommandFailure::Argument(why))
+                    if shown.memory.is_some() =>
+                {
+                    refused.push(format!("{name}: {why}"));
                 }
-                (CommandFailure::Argument(why), Some(name)) => {
-                    CommandFailure::Argument(format!("{name}: {why}"))
-                }
-                (failure, _) => failure,
-            })?;
+                Err(failure) => return Err(failure),
+            }
         }
-        Ok(count)
+        if refused.is_empty() { Ok(count) } else { Err(CommandFailure::Refused(refused.join("\n"))) }
     }
 }
 

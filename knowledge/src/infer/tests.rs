@@ -21,7 +21,7 @@ fn sized(id: &str, size: [f64; 3], at: [f64; 3], yaw: f64) -> Commit {
 }
 
 fn memory() -> Arc<WorkingMemory> {
-    let memory = WorkingMemory::new(Arc::new(|| 1));
+    let memory = crate::working_memory(Arc::new(|| 1));
     let prior = |name: &str, size: [f64; 3]| {
         let id = EntityId::new("ObjectClasses", "shop", name).unwrap();
         let color = Value::List(vec![Value::Int(1); 3]);
@@ -131,7 +131,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).unwrap();
     // Working memory holds the last sighting only.
     let limits = MemoryLimits { history: 1, ..MemoryLimits::default() };
-    let memory = WorkingMemory::new(Arc::new(|| 1)).with_limits(limits).with_backing(Arc::new(kept));
+    let memory = crate::working_memory(Arc::new(|| 1)).with_limits(limits).with_backing(Arc::new(kept));
     let hour = 3_600_000_000_000;
     // Three days on the shelf, the fourth half in the sink; today on the floor.
     let shelf =

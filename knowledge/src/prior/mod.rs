@@ -318,7 +318,7 @@ mod tests {
 
     #[test]
     fn classes_are_read_only_entities_and_come_back_whole() {
-        let memory = WorkingMemory::new(Arc::new(|| 7));
+        let memory = crate::working_memory(Arc::new(|| 7));
         let mut prior = PriorKnowledge::new();
         prior.add(sponge()).unwrap();
         prior.add(ObjectClass::new("tool", [40, 170, 60], [0.04, 0.04, 0.1])).unwrap();

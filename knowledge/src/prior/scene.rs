@@ -192,7 +192,6 @@ impl Placed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use armarium_memoryx::WorkingMemory;
 
     const BREAKFAST: &str = "\
 scene: breakfast
@@ -214,7 +213,7 @@ environment:
     #[test]
     fn a_scene_is_read_only_knowledge_that_can_become_a_belief() {
         let prior = loaded(BREAKFAST).unwrap();
-        let memory = WorkingMemory::new(Arc::new(|| 7));
+        let memory = crate::working_memory(Arc::new(|| 7));
         prior.put_into(&memory).unwrap();
         let id: EntityId = "Scenes/prior/breakfast".parse().unwrap();
         let held = memory.latest_now(&id).unwrap();

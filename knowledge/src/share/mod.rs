@@ -103,10 +103,11 @@ async fn last_taken(
         for snapshot in piece {
             let provider = snapshot.id.provider().strip_prefix(&prefix).unwrap_or_default();
             let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
-            let last = told.entry(id).or_default();
-            if let Some(Origin { version, arrived_ns, .. }) = Origin::of(&snapshot) {
-                *last = LastSeen { version, arrived_ns };
-            } else if snapshot.is_removed() {
+            // The name `alice.b` begins with `alice.`, too.
+            let origin = Origin::of(&snapshot).filter(|origin| origin.agent == settings.agent);
+            if let Some(Origin { version, arrived_ns, .. }) = origin {
+                told.insert(id, LastSeen { version, arrived_ns });
+            } else if let Some(last) = told.get_mut(&id).filter(|_| snapshot.is_removed()) {
                 *last = LastSeen { version: last.version + 1, arrived_ns: 0 };
             }
         }
@@ -190,7 +191,7 @@ impl FollowTask {
     fn translated(&self, snapshot: &Snapshot, missed: u64) -> Result<Commit, MemoryError> {
         let Snapshot { version, arrived_ns, .. } = *snapshot;
         let (agent, id) = (self.settings.agent.clone(), snapshot.id.clone());
-        let origin = Origin { agent, id, version, arrived_ns }.attribute(missed);
+        let origin = Origin { agent, id, version, arrived_ns, missed }.attribute();
         let instances = snapshot.instances.iter().map(|instance| {
             let moved = self.moved(instance);
             Instance { attributes: moved.attributes.with("origin", origin.clone()), ..moved }

@@ -14,12 +14,19 @@ pub struct Origin {
     pub version: u64,
     /// When it arrived there, ns; 0 where that is not known.
     pub arrived_ns: u64,
+    /// How many versions before it were not copied.
+    pub missed: u64,
 }
 
 impl Origin {
-    /// Whether a snapshot is a copy, also of something that is not told as a program of this kind tells it.
+    /// Whether a snapshot has the attribute, readable or not.
     pub fn has(snapshot: &Snapshot) -> bool {
         snapshot.attribute("origin").is_some()
+    }
+
+    /// Of whose memory a snapshot is a copy, if it says so.
+    pub fn agent_of(snapshot: &Snapshot) -> Option<&str> {
+        snapshot.attribute("origin")?.get("agent")?.as_str()
     }
 
     /// Of what a snapshot is a copy, if it says so.
@@ -32,18 +39,43 @@ impl Origin {
             id: EntityId::new(snapshot.id.segment(), text("provider")?, snapshot.id.entity()).ok()?,
             version: number("version")?,
             arrived_ns: number("arrived_ns").unwrap_or(0),
+            missed: number("missed").unwrap_or(0),
         })
     }
 
-    /// The attribute; `missed` versions before this one were not copied.
-    pub(super) fn attribute(&self, missed: u64) -> Value {
+    /// The attribute.
+    pub(super) fn attribute(&self) -> Value {
         let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
         Value::Map(fields([
             ("agent", Some(self.agent.as_str().into())),
             ("provider", Some(self.id.provider().into())),
             ("version", Some(number(self.version))),
             ("arrived_ns", Some(number(self.arrived_ns))),
-            ("missed", (missed > 0).then(|| number(missed))),
+            ("missed", (self.missed > 0).then(|| number(self.missed))),
         ]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_memoryx::Instance;
+
+    use super::*;
+
+    #[test]
+    fn it_is_read_as_it_is_written() {
+        let id = EntityId::new("S", "eye", "cup").unwrap();
+        for missed in [0, 4] {
+            let origin = Origin { agent: "alice".into(), id: id.clone(), version: 3, arrived_ns: 7, missed };
+            let copy = Snapshot {
+                id: EntityId::new("S", "alice.eye", "cup").unwrap(),
+                version: 1,
+                referenced_ns: 1,
+                sent_ns: 1,
+                arrived_ns: 1,
+                instances: vec![Instance::new([("origin", origin.attribute())])],
+            };
+            assert_eq!((Origin::agent_of(&copy), Origin::of(&copy)), (Some("alice"), Some(origin)));
+        }
     }
 }

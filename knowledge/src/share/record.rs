@@ -38,7 +38,7 @@ pub struct Following {
 }
 
 impl Following {
-    /// Nobody has looked for it yet.
+    /// It is followed; nothing was missed, and nothing is known of its clock.
     pub fn new(agent: &str, segments: Vec<String>) -> Self {
         Self { agent: agent.into(), segments, looked_for: None, missed: 0, clock_ahead_s: None }
     }
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn it_says_what_changes() {
-        let memory = Arc::new(WorkingMemory::new(Arc::new(|| 7)));
+        let memory = Arc::new(crate::working_memory(Arc::new(|| 7)));
         let followee: Followee = "alice:Object*".parse().unwrap();
         let segments = vec!["Agents".to_owned(), "Object*".to_owned()];
         let record = FollowingRecord::new(Arc::clone(&memory), "bob", &followee, segments).unwrap();

@@ -57,8 +57,8 @@ fn close(a: [f64; 3], b: [f64; 3]) -> bool {
 
 #[tokio::test(start_paused = true)]
 async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
-    let alice = Arc::new(WorkingMemory::new(Arc::new(|| 7)));
-    let bob = Arc::new(WorkingMemory::new(Arc::new(|| 8)));
+    let alice = Arc::new(crate::working_memory(Arc::new(|| 7)));
+    let bob = Arc::new(crate::working_memory(Arc::new(|| 8)));
     let quarter = std::f64::consts::FRAC_PI_2;
     bob.commit_now(vec![stands("alice", 2.0, quarter), stands("bob", 1.0, 0.0)]).unwrap();
     alice.commit_now(vec![cup(5, 0.3)]).unwrap();
@@ -80,8 +80,15 @@ async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
     let fused = bob.latest_now(&"ObjectInstances/scene/cup".parse().unwrap()).unwrap();
     assert!(fused.attribute("position") == Some(&Value::Vector(position.clone())));
 
-    // Bob receives nothing twice, even after a restart.
+    // Bob receives nothing twice, even after a restart. What he has of an agent `alice.b` is not Alice's.
     drop(following);
+    let id = EntityId::new(OBJECT_INSTANCES, "b.eye", "cup").unwrap();
+    let of_other =
+        Origin { agent: "alice.b".into(), id: id.clone(), version: 3, arrived_ns: 7, missed: 0 }.attribute();
+    let copied = followed_id("alice", &id).unwrap();
+    bob.commit_now(vec![Commit::new(copied, 5, [("class", "cup".into()), ("origin", of_other)])]).unwrap();
+    let had = last_taken(&bob, &settings(None)).await.unwrap();
+    assert_eq!(had.into_keys().collect::<Vec<_>>(), [cup(5, 0.3).id]);
     alice.commit_now(vec![cup(6, 0.4)]).unwrap();
     let other = Arc::<WorkingMemory>::clone(&alice);
     let _following = Copying::start(other, Arc::clone(&bob), settings(None)).await.unwrap();
@@ -92,7 +99,8 @@ async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
 
 #[tokio::test(start_paused = true)]
 async fn who_follows_everything_takes_poses_of_agents_once() {
-    let (alice, bob) = (WorkingMemory::new(Arc::new(|| 7)), Arc::new(WorkingMemory::new(Arc::new(|| 8))));
+    let (alice, bob) =
+        (crate::working_memory(Arc::new(|| 7)), Arc::new(crate::working_memory(Arc::new(|| 8))));
     alice.commit_now(vec![stands("alice", 2.0, 0.0), cup(5, 0.3)]).unwrap();
     let everything = FollowSettings { pattern: Pattern::segment("*"), ..settings(None) };
     let _following = Copying::start(Arc::new(alice), Arc::clone(&bob), everything).await.unwrap();
@@ -153,7 +161,7 @@ async fn after_a_cut_both_sides_are_equal() {
     let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything)).unwrap();
     let session = Session::open(&SessionConfig::default()).await.unwrap();
     let clock = session.clone();
-    let alice = WorkingMemory::new(Arc::new(move || clock.now_ns()));
+    let alice = crate::working_memory(Arc::new(move || clock.now_ns()));
     let alice = alice
         .with_limits(MemoryLimits { history: 4, ..MemoryLimits::default() })
         .with_backing(Arc::new(kept));
@@ -164,7 +172,7 @@ async fn after_a_cut_both_sides_are_equal() {
 
     let near = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
-    let bob = WorkingMemory::new(Arc::new(|| 0))
+    let bob = crate::working_memory(Arc::new(|| 0))
         .with_limits(MemoryLimits { history: 100_000, ..MemoryLimits::default() });
     let bob = Arc::new(bob);
     let shared = Arc::<RemoteMemory>::clone(&remote);
@@ -214,7 +222,7 @@ async fn absence_and_clocks_are_told() {
     let behind_ns = Arc::new(AtomicU64::new(0));
     let (clock, behind) = (far.clone(), Arc::clone(&behind_ns));
     let now_ns = move || clock.now_ns() - behind.load(Ordering::Relaxed);
-    let alice = Arc::new(WorkingMemory::new(Arc::new(now_ns)));
+    let alice = Arc::new(crate::working_memory(Arc::new(now_ns)));
     alice.commit_now(vec![stands("alice", 1.0, 0.0)]).unwrap();
     let serve = || MemoryServer::start(&far, "alice", Arc::clone(&alice), ServerOptions::default());
     let server = serve().await.unwrap();

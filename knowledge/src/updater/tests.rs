@@ -12,7 +12,7 @@ use crate::prior::{ObjectClass, PriorKnowledge};
 const VARIANCE: f64 = 1e-4;
 
 fn memory() -> Arc<WorkingMemory> {
-    let memory = WorkingMemory::new(Arc::new(|| 0));
+    let memory = crate::working_memory(Arc::new(|| 0));
     let mut prior = PriorKnowledge::new();
     prior.add(ObjectClass::new("cup", [200, 0, 0], [0.08, 0.08, 0.1]).with_mass(0.2)).unwrap();
     prior.put_into(&memory).unwrap();

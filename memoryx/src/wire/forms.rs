@@ -1,4 +1,4 @@
-//! The form of what messages hold, here and in files of exchange. It is told apart from the types of the memory, so that these can
+//! The form of what messages hold, and lines of exported JSON. It is told apart from the types of the memory, so that these can
 //! change: a form stays as other programs know it, and what is new in it has a default. Unknown fields are ignored.
 
 use std::collections::BTreeMap;
@@ -44,16 +44,26 @@ forms! {
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Instance")]
 struct InstanceForm {
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_default")]
     attributes: Attributes,
+    // Not `null`: JSON writes what is not a number so.
     #[serde(default = "certain")]
     confidence: f64,
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default, deserialize_with = "or_default", skip_serializing_if = "BTreeMap::is_empty")]
     covariance: BTreeMap<String, Vec<f64>>,
 }
 
 fn certain() -> f64 {
     1.0
+}
+
+/// `null` is as what is left out.
+pub(super) fn or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Default,
+{
+    Ok(Option::deserialize(deserializer)?.unwrap_or_default())
 }
 
 #[derive(Serialize, Deserialize)]
@@ -62,9 +72,8 @@ struct SnapshotForm {
     id: EntityId,
     version: u64,
     referenced_ns: u64,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_default")]
     sent_ns: u64,
-    #[serde(default)]
     arrived_ns: u64,
     instances: Vec<Instance>,
 }
@@ -109,7 +118,9 @@ struct CursorForm {
 #[derive(Default, Serialize, Deserialize)]
 #[serde(remote = "Query", default)]
 struct QueryForm {
+    #[serde(deserialize_with = "or_default")]
     pattern: Pattern,
+    #[serde(deserialize_with = "or_default")]
     times: Times,
     arrived_since: Option<u64>,
     filter: Option<String>,
@@ -118,7 +129,9 @@ struct QueryForm {
     after: Option<Cursor>,
     most: Option<usize>,
     most_bytes: Option<u64>,
+    #[serde(deserialize_with = "or_default")]
     removed: bool,
+    #[serde(deserialize_with = "or_default")]
     long_term: bool,
 }
 

@@ -39,7 +39,7 @@ pub struct CommitRequest {
     /// The updates.
     pub updates: Vec<Commit>,
     /// When they were sent, ns since 1970 by the sender's clock; 0 from programs that do not say.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "forms::or_default")]
     pub sent_ns: u64,
 }
 
@@ -56,6 +56,7 @@ pub struct QueryRequest {
     #[serde(flatten)]
     pub query: Query,
     /// Whether the asker goes on at [`Snapshots::next`]. Then each part takes a short time, and may be empty.
+    #[serde(deserialize_with = "forms::or_default")]
     pub parts: bool,
 }
 
@@ -206,6 +207,10 @@ pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, Code
 
 /// A payload of whatever kind, for people: a refusal of a later program, or of one that is no memory.
 pub(crate) fn of_any_kind(payload: &[u8]) -> String {
+    // A map in CBOR is no UTF-8.
+    if let Ok(text) = std::str::from_utf8(payload) {
+        return text.to_owned();
+    }
     let known = armarium_bus::decode::<serde_json::Value>(payload);
     known.map_or_else(|_| String::from_utf8_lossy(payload).into_owned(), |known| known.to_string())
 }

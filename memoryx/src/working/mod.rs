@@ -169,7 +169,7 @@ impl Core {
 }
 
 impl WorkingMemory {
-    /// An empty memory with [`MemoryLimits::default`], which takes any attributes.
+    /// An empty memory with [`MemoryLimits::default`], whose core segments have any attributes.
     pub fn new(clock: Clock) -> Self {
         let limits = MemoryLimits::default();
         let core = Core {
@@ -197,7 +197,7 @@ impl WorkingMemory {
         self
     }
 
-    /// The same memory, which checks what is committed to these core segments. To be called before anyone commits.
+    /// The same memory, which checks what is committed to these core segments, and to no others. To be called before anyone commits.
     #[must_use]
     pub fn with_segments(mut self, schemas: impl IntoIterator<Item = SegmentSchema>) -> Self {
         self.building().schemas =

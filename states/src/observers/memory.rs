@@ -223,7 +223,8 @@ mod tests {
 
     /// A memory at 10 s, and channels on which it is observed.
     fn observed(limits: MemoryLimits) -> (Arc<WorkingMemory>, Channels) {
-        let memory = Arc::new(WorkingMemory::new(Arc::new(|| 10_000_000_000)).with_limits(limits));
+        let memory =
+            Arc::new(armarium_knowledge::working_memory(Arc::new(|| 10_000_000_000)).with_limits(limits));
         let own = OwnMemory {
             memory: Arc::<WorkingMemory>::clone(&memory),
             transforms: Arc::default(),

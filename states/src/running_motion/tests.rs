@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use armarium_memoryx::{WorkingMemory, tokio_clock};
+use armarium_memoryx::tokio_clock;
 use armarium_motion::{CoachConfig, CoachInput, CoachedMotion, PeriodicDmpConfig, PhaseSample};
 use nalgebra::Vector3;
 
@@ -17,7 +17,7 @@ async fn memory_with_motion() -> (Arc<dyn Memory>, EntityId, RunningMotions) {
         PhaseSample { phase, y: vec![c, s, 0.7], dy: vec![-s, c, 0.0], ddy: vec![-c, -s, 0.0] }
     };
     circle.learn_batch(&(0..200).map(sample).collect::<Vec<_>>()).unwrap();
-    let memory: Arc<dyn Memory> = Arc::new(WorkingMemory::new(tokio_clock()));
+    let memory: Arc<dyn Memory> = Arc::new(armarium_knowledge::working_memory(tokio_clock()));
     let id = motions::address("bob", "wiping").unwrap();
     let motion = Motion::in_space("wiping", "root", 0.5, circle).unwrap();
     motions::store(&*memory, &id, &motion, 0).await.unwrap();

@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use armarium_knowledge::Origin;
 use armarium_memoryx::Snapshot;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
@@ -52,7 +53,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 return Ok(Outcome::success()
                     .with("object", reference("Object", &snapshot.id))
                     .with("pose", pose_value(&pose))
-                    .with("told_by", seen_by(snapshot).unwrap_or(&equipment.agent)));
+                    .with("told_by", Origin::agent_of(snapshot).unwrap_or(&equipment.agent)));
             }
             Err(why) if waited > timeout => {
                 return Err(Failure::new(format!("{why}; waited {timeout:.0} s")));
@@ -60,11 +61,6 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             Err(_) => {}
         }
     }
-}
-
-/// The agent from whose memory it came; `None` for this agent's own.
-fn seen_by(snapshot: &Snapshot) -> Option<&str> {
-    snapshot.attribute("origin")?.get("agent")?.as_str()
 }
 
 /// The snapshot with the newest reference time among the objects of a class, at `now_ns`, and its pose in the root frame.
@@ -103,7 +99,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use armarium_knowledge::WORLD;
-    use armarium_memoryx::{Instance, Snapshot, WorkingMemory, tokio_clock};
+    use armarium_memoryx::{Instance, Snapshot, tokio_clock};
     use armarium_values::transforms::Transforms;
     use armarium_values::{Frame, Pose};
     use parking_lot::RwLock;
@@ -140,7 +136,8 @@ mod tests {
         let mut transforms = Transforms::new();
         let stands = Pose::new(WORLD.into(), &Isometry3::translation(0.3, 0.0, 0.0));
         transforms.fix(&Frame::root(), &stands).unwrap();
-        let (memory, transforms) = (WorkingMemory::new(tokio_clock()), RwLock::new(transforms));
+        let (memory, transforms) =
+            (armarium_knowledge::working_memory(tokio_clock()), RwLock::new(transforms));
         super::newest(
             Remembered { memory: &memory, transforms: &transforms },
             known,
@@ -161,9 +158,9 @@ mod tests {
     async fn whoever_saw_it_last_is_believed() {
         let known = [sponge("alice.alice", 7, "root", 0.2, false), sponge("bob", 3, "root", 0.1, false)];
         let (found, pose) = newest(&known, "sponge", 9).unwrap();
-        assert_eq!((seen_by(found), pose.translation.x), (Some("alice"), 0.2));
+        assert_eq!((Origin::agent_of(found), pose.translation.x), (Some("alice"), 0.2));
         let (found, _) = newest(&known[1..], "sponge", 4).unwrap();
-        assert_eq!(seen_by(found), None);
+        assert_eq!(Origin::agent_of(found), None);
     }
 
     #[tokio::test]

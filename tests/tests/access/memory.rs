@@ -6,7 +6,6 @@ use armarium_bus::{Access, Session, SessionConfig, Tls};
 use armarium_memoryx::wire::Maintain;
 use armarium_memoryx::{
     Commit, EntityId, Memory, MemoryError, MemoryServer, Pattern, Query, RemoteMemory, ServerOptions,
-    WorkingMemory,
 };
 use armarium_values::Value;
 
@@ -39,7 +38,7 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
         ..SessionConfig::default()
     };
     let far = Session::open(&far).await.unwrap();
-    let memory = Arc::new(WorkingMemory::new(Arc::new(|| 1)));
+    let memory = Arc::new(armarium_knowledge::working_memory(Arc::new(|| 1)));
     memory.commit_now(commit("alice", "cup")).unwrap();
     let shared = Arc::clone(&memory);
     let options = ServerOptions { guarded: true, store: None };
