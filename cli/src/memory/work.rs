@@ -155,7 +155,7 @@ impl Memories {
         Ok(Self { named })
     }
 
-    /// Asks all of them. Where there are several, one that refuses does not keep the others from answering; the last refusal is returned.
+    /// Asks all of them. Where there are several, one that refuses does not keep the others from answering; refusals are said at the end.
     async fn each(
         &self,
         query: &Query,
