@@ -7,9 +7,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use armarium_values::Value;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Values by name, ordered by name. Serialised as a map.
+/// Values by name, ordered by name.
 #[derive(Clone, Default, PartialEq)]
 pub struct Attributes(Box<[(Box<str>, Value)]>);
 
@@ -77,18 +76,6 @@ impl<const N: usize> From<[(&str, Value); N]> for Attributes {
 impl fmt::Debug for Attributes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_map().entries(self.iter()).finish()
-    }
-}
-
-impl Serialize for Attributes {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.iter())
-    }
-}
-
-impl<'de> Deserialize<'de> for Attributes {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Ok(BTreeMap::<String, Value>::deserialize(deserializer)?.into())
     }
 }
 

@@ -12,7 +12,6 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use armarium_values::{Reference, Value};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::attributes::Attributes;
 use crate::error::MemoryError;
@@ -159,18 +158,6 @@ impl FromStr for EntityId {
         };
         [segment, provider, entity].into_iter().try_for_each(check_name)?;
         Ok(Self::of_path(path.into(), segment.len(), provider.len()))
-    }
-}
-
-impl Serialize for EntityId {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.as_str())
-    }
-}
-
-impl<'de> Deserialize<'de> for EntityId {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
     }
 }
 

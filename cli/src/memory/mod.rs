@@ -296,7 +296,7 @@ struct QueryArgs {
     /// The nearest to this point, m.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     near: Option<String>,
-    /// How many of the nearest, in each memory.
+    /// How many of the nearest, of each memory that is asked.
     #[arg(long, default_value_t = 10, requires = "near", conflicts_with = "radius")]
     count: usize,
     /// All within this distance of the point, m, instead of the nearest.
@@ -311,7 +311,7 @@ struct QueryArgs {
     /// At most N of each entity, the newest.
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// At most N in all, of each memory.
+    /// At most N snapshots of each memory that is asked.
     #[arg(long, value_name = "N")]
     most: Option<usize>,
 }

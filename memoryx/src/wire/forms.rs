@@ -1,9 +1,9 @@
-//! The form of what messages hold, and lines of exported JSON. It is told apart from the types of the memory, so that these can
-//! change: a form stays as other programs know it, and what is new in it has a default. Unknown fields are ignored.
+//! How what messages hold is written and read; exported JSON lines have the same form. It is apart from the types of the memory, so
+//! that these can change: a form stays as other programs know it, and what is new in it has a default. Unknown fields are ignored.
 
 use std::collections::BTreeMap;
 
-use armarium_values::Frame;
+use armarium_values::{Frame, Value};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::attributes::Attributes;
@@ -41,6 +41,41 @@ forms! {
     MemoryError as ErrorForm;
 }
 
+/// An address is a text.
+impl Serialize for EntityId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+impl<'de> Deserialize<'de> for EntityId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+/// Attributes are a map.
+impl Serialize for Attributes {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.iter())
+    }
+}
+
+impl<'de> Deserialize<'de> for Attributes {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(BTreeMap::<String, Value>::deserialize(deserializer)?.into())
+    }
+}
+
+/// Reads `null` as what is left out.
+pub(super) fn or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Default,
+{
+    Ok(Option::deserialize(deserializer)?.unwrap_or_default())
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Instance")]
 struct InstanceForm {
@@ -55,15 +90,6 @@ struct InstanceForm {
 
 fn certain() -> f64 {
     1.0
-}
-
-/// `null` is as what is left out.
-pub(super) fn or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
-where
-    D: Deserializer<'de>,
-    T: Deserialize<'de> + Default,
-{
-    Ok(Option::deserialize(deserializer)?.unwrap_or_default())
 }
 
 #[derive(Serialize, Deserialize)]
